@@ -70,8 +70,8 @@ class TableRecord(Record):
     skip_rows: tuple[int, ...] = ()
     """Numbers of further rows that are not read."""
     blocks: bool = False
-    """Whether pairs of a name and a value stand above the headers, and the headers may come again below,
-    with the next needle: a pair is then a column."""
+    """Whether the headers may come again below, with the next needle. Pairs of a name and a value above
+    headers, as `depth | 40 | mm`, are columns."""
     layout: Literal["long", "wide", "pairs"] = "long"
     """long: a point a row. wide: all points of a needle in one row. pairs: a name, its value and its unit in
     each row."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from needlefit.arrays import Floats, Ints
+from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.stated import Stated
 from needlefit.datasets.layers import find_length_tolerance
@@ -77,11 +77,6 @@ class ImportedCurve:
                     fix="correct one of the two",
                     where=fact.where,
                 )
-
-    def keep(self, rows: Ints, depths: Floats) -> None:
-        """Leave out all readings but those of some rows (M,); `depths`: of all, mm."""
-        self.points, self.depths = self.points.part(rows), depths[rows]
-        self.guide = None if self.guide is None else self.guide[rows]
 
     @property
     def line(self) -> Floats:

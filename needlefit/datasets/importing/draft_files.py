@@ -91,19 +91,15 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
     if "specimen" not in {*stated.columns, *draft.values}:
         _ask_sources(draft)
     if not draft.opens and not any(KINDS[table["holds"]].placer for table in draft.tables):
-        tables = "; ".join(
+        problem = "; ".join(
             f"{part}: {why}" for part, why in draft.unused if part.startswith(("table", "folder"))
         )
         known = {*stated.columns}.union(*(table["columns"] for table in draft.tables))
-        of_tips = ("depth", "deflection")
-        for key in [key for key in of_tips if key not in known] if known & {*of_tips} else "xy":
-            columns = [part.removeprefix("column ") for part, _ in draft.unused if "column " in part]
-            answers = {
-                name: {f"{key}.column": name}
-                for name in columns
-                if f"unused.{name}" in draft.assumed  # of numbers
-            }
-            text = f"{MEANINGS[key].text} ({tables or paths[0]})"
+        needed = [key for key in ("depth", "deflection") if key not in known]
+        numbers = [key.partition(".")[2] for key in draft.assumed if key.startswith("unused.")]
+        for key in needed if len(needed) < 2 else "xy":
+            answers = {name: {f"{key}.column": name} for name in numbers}
+            text = f"{MEANINGS[key].text} ({problem or paths[0]})"
             draft.ask("column", str(paths[0]), answers, key=key, text=text)
     read = {name for table in draft.tables for name in table["files"]}
     for path in paths if not draft.opens else ():
@@ -115,12 +111,9 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
 def _ask_markups(file: str, table: Table, draft: Draft) -> None:
     """Ask about a curve of Slicer with few points: they may be of a boundary."""
     key = f"tables.{len(draft.tables)}.holds"
-    for name, count in Counter(row[0] for row in table.rows).items():
-        if (
-            count < MIN_POINTS
-            and file.endswith(MARKUPS.suffixes)
-            and (key, "shapes") not in draft.stated.numbered
-        ):
+    is_open = file.endswith(MARKUPS.suffixes) and (key, "shapes") not in draft.stated.numbered
+    for name, count in Counter(row[0] for row in table.rows if is_open).items():
+        if count < MIN_POINTS:
             answers = {"needle": {key: "shapes"}, "boundary": {"surfaces": file}}
             draft.ask("markups", file, answers, name=name, count=count)
 

@@ -27,6 +27,7 @@ from needlefit.datasets.importing.meanings import (
 )
 from needlefit.datasets.importing.tables import BLOCK, Table
 from needlefit.datasets.observations.tip_track import MIN_READINGS
+from needlefit.grouping import group_values
 from needlefit.project.locate import join_names
 
 NO_POINTS = (*VECTORS, "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
@@ -183,7 +184,7 @@ class TableDraft:
         if meaning == "medium" and any(are_needles):
             is_clear = all(are_needles) and "modulus" not in headers
             return ["modulus"] if is_clear else ["medium", "modulus"]
-        if meaning == "guide" and "depth" not in headers and self.increases([column]):  # of the stage
+        if meaning == "guide" and "depth" not in headers and self.increases(column):  # of the stage
             return ["depth"]
         return meaning.split("|")
 
@@ -307,13 +308,14 @@ class TableDraft:
     @cached_property
     def changing(self) -> set[str]:
         """What changes from row to row of a needle, as of a tip on its way: `depth`, `time`."""
+        is_turned = any("quaternion" in (column.meaning, column.group) for column in self.all)
         changing = {
-            key
-            for key in ("depth", "time")
-            if any(len({*values}) > 1 for values in self._list_by_needle(self.taken.get(key, [])))
+            meaning
+            for meaning in ("depth", "time")
+            for column in self.taken.get(meaning, ())
+            if any(len({*numbers}) > 1 for numbers in self._list_by_needle(column))
         }
-        is_turned = any("quaternion" in (one.meaning, one.group) for one in self.all)
-        return changing | ({"time"} if is_turned else set())
+        return changing | {"time"} if is_turned else changing
 
     @property
     def names(self) -> Sequence[str]:
@@ -331,19 +333,18 @@ class TableDraft:
         """The columns of coordinates."""
         return [column for axes in self.groups.values() for (column,) in axes.values()]
 
-    def _list_by_needle(self, columns: Sequence[Column]) -> list[list[float]]:
-        """Return the numbers in columns of each needle."""
+    def _list_by_needle(self, column: Column) -> list[list[float]]:
+        """Return the numbers in a column of each needle."""
         names = self.taken.get("needle", [column for column in self.all if column.meaning == "needle"])
-        numbers = defaultdict[tuple[str, ...], list[float]](list)
-        for row in self.table.rows:
-            for column in columns:
-                if (value := self.table.number(row[column.place])) is not None:
-                    numbers[tuple(row[name.place] for name in names)].append(value)
-        return [*numbers.values()]
+        cells = [
+            ([row[name.place] for name in names], self.table.number(row[column.place]))
+            for row in self.table.rows
+        ]
+        return [*group_values((tuple(name), value) for name, value in cells if value is not None).values()]
 
-    def increases(self, columns: Sequence[Column]) -> bool:
+    def increases(self, column: Column) -> bool:
         """Whether the numbers of each needle increase from row to row."""
-        runs = self._list_by_needle(columns)
+        runs = self._list_by_needle(column)
         return bool(runs) and all(
             len(numbers) >= MIN_READINGS and all(a < b for a, b in pairwise(numbers)) for numbers in runs
         )
@@ -431,9 +432,16 @@ class TableDraft:
         is_step = any(map(str.isdigit, unit))  # of a pixel: no unit of lengths in mm
         if unit and is_free and not (is_step and record.get("unit", "px") != "px"):
             record["unit"] = unit  # also beside a header that states another one
-        elif MEANINGS[meaning].unit in ("mm", "1/mm") and not record.keys() & {"unit", "unit_column"}:
-            unit, is_point = self.table.unit, meaning in COORDINATES and self.kind.has_points
-            is_bare = meaning in ATTRIBUTES and not is_point and any(map(list_bare_numbers, texts))
+        elif (usual := MEANINGS[meaning].unit) in ("mm", "1/mm") and not record.keys() & {
+            "unit",
+            "unit_column",
+        }:
+            is_inverse, is_point = usual == "1/mm", meaning in COORDINATES and self.kind.has_points
+            is_fact = is_inverse or (meaning in ATTRIBUTES and not is_point)
+            is_bare, unit = (
+                is_fact and any(map(list_bare_numbers, texts)),
+                "" if is_inverse else self.table.unit,
+            )
             units = [column.name for column in self.all if column.meaning == "unit" and column.texts]
             if units:
                 record["unit_column"] = units[0]
@@ -441,7 +449,7 @@ class TableDraft:
                 record["unit"] = unit
             if is_bare and not units:
                 self.draft.assumed[f"{meaning}.unit"] = (
-                    f"{unit or 'mm'}: {_list_names(columns)} states no unit"
+                    f"{unit or usual}: {_list_names(columns)} states no unit"
                 )
         unit, words = record.get("unit", ""), record.get("words", {})
         unclear = [text for text in texts if text not in words and not is_side(text, unit)]
@@ -458,12 +466,10 @@ class TableDraft:
 
     def _spell(self, meaning: str, columns: Sequence[Column]) -> Keys:
         """Return how a mapping names columns, and the unit of the first."""
-        names, unit = [column.name for column in columns], columns[0].unit
-        if meaning.startswith("curvature") and unit and not unit.startswith("1/"):
-            unit = f"1/{unit}"  # the header states that of its length
+        names = [column.name for column in columns]
         spelled = {
             "column": names[0] if len(names) == 1 else names,
-            "unit": unit,
+            "unit": columns[0].unit,
             "axes": "".join(column.axis for column in columns) if meaning == "guide" else "",
             "sign": 0 if meaning in self.taken else self.signs.get(meaning, 0),
             "words": dict.fromkeys(self.excluded, EXCLUDED) if meaning == EXCLUDED else {},

@@ -6,17 +6,8 @@ from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 
-from needlefit.datasets.importing.meanings import MEANINGS, Keys, find_meaning, read_header
-from needlefit.datasets.importing.tables import (
-    MAX_TABLE_BYTES,
-    MISSING,
-    Grid,
-    decode,
-    is_comment,
-    parse_number,
-    read_pair,
-    split_text,
-)
+from needlefit.datasets.importing.meanings import MEANINGS, MISSING, Keys, read_header
+from needlefit.datasets.importing.tables import MAX_TABLE_BYTES, Grid, decode, parse_number, split_text
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
 
@@ -36,11 +27,8 @@ Rows = Sequence[Sequence[str]]
 def sniff_text(path: Path, given: Keys) -> tuple[Grid, Keys]:
     """Return the cells of a text file, and how they are separated; `given`: what is stated of it."""
     data = read_bytes(path, MAX_TABLE_BYTES)
-    encoding = given.get("encoding", "")
+    encoding = given.get("encoding") or _find_encoding(data)
     text = decode(data, path, encoding)
-    if not encoding and text.isascii() is False:
-        encoding = _find_encoding(data)
-        text = decode(data, path, encoding) if encoding else text
     first = next((sign for sign in "%#" if re.search(rf"^{sign}", text, re.M)), "")
     comment = given.get("comment", first)
     lines = [
@@ -59,16 +47,16 @@ def sniff_text(path: Path, given: Keys) -> tuple[Grid, Keys]:
         "files": [path.name],
         "separator": separator,
         "decimal": decimal,
-        "encoding": encoding or "utf-8",
+        "encoding": encoding,
         "comment": comment,
     }
 
 
 def _find_encoding(data: bytes) -> str:
-    """Return the encoding of text that is no UTF-8: of two the one in which more headers are known."""
+    """Return UTF-8, if text is that; else of two encodings the one in which more headers are known."""
     try:
-        data.decode("utf-8-sig")
-        return ""
+        data.decode("utf-8")
+        return "utf-8"
     except UnicodeDecodeError:
         texts = {name: data.decode(name, errors="replace")[:500] for name in ("cp1252", "gb18030")}
     parts = {name: re.split(r"[;,\t\n\r]", text) for name, text in texts.items()}
@@ -120,7 +108,8 @@ def propose_layout(grid: Grid, stated: Keys) -> Keys:
         grid = grid.transpose()
     if "header_rows" not in keys:
         keys["header_rows"] = _find_header_rows(grid.rows, decimal, comment)
-    keys.setdefault("blocks", _has_blocks(grid.rows, keys["header_rows"], comment))
+    head, *below = grid.rows[max(keys["header_rows"], default=1) - 1 :]
+    keys.setdefault("blocks", any([*row] == [*head] for row in below) and bool(keys["header_rows"]))
     return keys
 
 
@@ -155,7 +144,7 @@ def _find_header_rows(rows: Rows, decimal: str, comment: str) -> list[int]:
         filled = [cell for cell in row if cell]
         if not filled or (row[0].startswith(comment) and comment and numbers):
             break
-        if numbers and (len(filled) < 2 or (read_pair(row) is not None and not _is_label(row, below))):
+        if numbers and (len(filled) < 2 or (len(filled) < 4 and not _is_label(row, below))):
             break
         if numbers and _is_remark(row, below):
             break
@@ -191,17 +180,3 @@ def _is_head(row: Sequence[str], comment: str) -> bool:
     """Whether texts of a row are known headers, more than numbers."""
     are_known = [read_header(cell.lstrip(f"{comment} ")).is_known for cell in row if cell]
     return sum(are_known) > len(are_known) / 2
-
-
-def _has_blocks(rows: Rows, numbers: Sequence[int], comment: str) -> bool:
-    """Whether headers come again, or pairs that are known stand above them."""
-    if not numbers:
-        return False
-    head = [*rows[numbers[-1] - 1]]
-    above = (row for row in rows[: numbers[0] - 1] if any(row) and not is_comment(row, comment))
-    pairs = [pair for row in above if (pair := read_pair(row)) is not None]
-    return (
-        any([*row] == head for row in rows[numbers[-1] :])
-        or any(read_header(name).meaning in MEANINGS for name, _ in pairs)
-        or any(find_meaning("column", value.split(" ")[0]) == "needle" for _, value in pairs)
-    )

@@ -14,8 +14,10 @@ from needlefit.arrays import Floats
 from needlefit.datasets.importing.kinds import KINDS, RowKind
 from needlefit.datasets.importing.meanings import (
     ATTRIBUTES,
+    CODES,
     COORDINATES,
     MEANINGS,
+    MISSING,
     VECTORS,
     find_meaning,
     list_factors,
@@ -23,8 +25,6 @@ from needlefit.datasets.importing.meanings import (
 )
 from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.datasets.importing.tables import (
-    CODES,
-    MISSING,
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
     Table,

@@ -27,9 +27,8 @@ class Meaning(NamedTuple):
     unit: str = ""
     usual: str = ""
     reason: str = ""
-    likely: tuple[
-        float, ...
-    ] = ()  # least and greatest length (mm) that is believed without a unit of its own
+    likely: tuple[float, ...] = ()  # least and greatest length (mm) that is believed without a unit
+    choices: tuple[str, ...] = ()  # all values that it may have; none: any
 
 
 class QuestionText(NamedTuple):
@@ -44,6 +43,8 @@ class QuestionText(NamedTuple):
 
 
 _FILE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+MISSING, CODES, EXPORTS = _FILE["missing"], _FILE["missing_numbers"], _FILE["exports"]
+"""Cells of what was not measured; numbers that are, too, of coordinates; how to export files, by ending."""
 VALUES = MappingProxyType({key: Meaning(**parts) for key, parts in _FILE["values"].items()})
 """What may be stated of all needles; of most keys each needle may also have a cell of its own."""
 ROWS = MappingProxyType({key: Meaning(**parts) for key, parts in _FILE["rows"].items()})
@@ -84,7 +85,7 @@ _UMLAUT = re.compile("([aou])e")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 INDEX = re.compile(r"\[(\d+)\]")  # of an element of an array: `poses[3]`
 _BRACKET = re.compile(r"\s*[\[(（【]\s*([^\[\]()（）【】]+?)\s*[\])）】]")
-_ENDING = re.compile(r"(?:\s*[/,]\s*|[_\s])([^\W\d_]+|[°%])$")
+_ENDING = re.compile(r"(?:\s*[/,]\s*|[_\s])(1[_ ]per[_ ]|)([^\W\d_]+|[°%])$")
 _QUANTITY = re.compile(r"([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[-+]?\d+)?)\s*(1/|)(\D*)", re.IGNORECASE)
 _INVERSE = re.compile(r"1\s*/\s*(\w+)|(\w+)\s*\^?[-−⁻][1¹]")  # of curvatures: 1/m, m^-1
 
@@ -176,8 +177,8 @@ def split_unit(text: str) -> tuple[str, str]:
         inverse = _INVERSE.fullmatch(inside)
         unit = f"1/{inverse[1] or inverse[2]}" if inverse else find_meaning("unit", inside) or inside
         return text[: bracket.start()] + text[bracket.end() :], unit
-    if ending is not None and (unit := find_meaning("unit", ending[1])):
-        return text[: ending.start()], unit
+    if ending is not None and (unit := find_meaning("unit", ending[2])):
+        return text[: ending.start()], f"1/{unit}" if ending[1] else unit
     return text, ""
 
 

@@ -1,8 +1,8 @@
 """Place imported needles: entry, direction, layers and bevel, as the mapping or an answer states them."""
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from needlefit.datasets.importing.meanings import find_meaning, read_quantity
 from needlefit.datasets.importing.stated import Settler, Stated, name_set
 from needlefit.datasets.insertion import GUIDE_STILL_MM, Pose
 from needlefit.errors import DataError
-from needlefit.geometry.surfaces import Surface
 from needlefit.grouping import group_values
 from needlefit.project.locate import join_names
 from needlefit.project.unit_warnings import GAUGES_MM
@@ -28,26 +27,14 @@ BEYOND_DEPTH_MM = 50.0  # length (mm) by which the assumed needle is longer than
 MAX_CAST_RATIO = 1.25  # of the depths of one boundary in specimens that were made alike
 
 
-@dataclass(frozen=True)
-class ImportPlan:
-    """What an import writes of its curves: a row for each, those of tip tracks last."""
+class ImportPlan(CurveAnswers):
+    """What an import writes of its curves, settled question by question: each may depend on those before.
 
-    rows: tuple[InsertionRow, ...]
-    pose: Pose  # of shapes
-    surfaces: tuple[Surface, ...]  # between the layers
-    # By medium: depths of the boundaries between its layers, mm, where there are no surfaces.
-    boundaries_mm: Mapping[str, tuple[float, ...]]
-    needle: NeedleRecord  # of the rows that name none
-    point_sd_mm: float
-    needles: Mapping[str, NeedleRecord] = field(default_factory=dict)  # by the names in the rows
-    examples: tuple[str, ...] = ()  # needles of the workbook that ships, where others are not
-    choices: FirstChoices = field(default_factory=FirstChoices)  # of its first study
-    # of tip tracks, degrees: of the direction of each run, and of what all share
-    slope_sds_deg: tuple[float, float | None] = (0.0, None)
+    DataError if a question has no clear answer, or what is stated contradicts the files.
+    """
 
-
-class Planner(CurveAnswers):
-    """Settles one question after the other: each may depend on what was settled before."""
+    examples: Sequence[str] = ()  # needles of the workbook that ships, where others are not
+    pose: Pose = "known"  # of shapes
 
     def __init__(self, content: ImportContent, settler: Settler) -> None:
         super().__init__(content.curves, settler, [*content.surfaces])
@@ -58,12 +45,6 @@ class Planner(CurveAnswers):
             others = [curve for curve in content.curves if curve.kind is not kind]
             if own and kind.placer is not None:
                 self.placers.append(kind.placer(own, settler, self.surfaces, others))
-
-    def make_plan(self) -> ImportPlan:
-        """Return the plan, question by question.
-
-        DataError if a question has no clear answer, or what is stated contradicts the files.
-        """
         self.refuse_moved_guide()
         for placer in self.placers:
             placer.settle_places()
@@ -79,32 +60,37 @@ class Planner(CurveAnswers):
             placer.fill_rows(min(curve.point_sd for curve in placer.curves))
         self.settle_names()
         parameters = self.settle_guide_distances()
-        sd, study = min(curve.point_sd for curve in self.curves), dict[str, float | str]()
+        self.point_sd_mm = sd = min(curve.point_sd for curve in self.curves)
+        study = dict[str, float | str]()
         for placer in self.placers:
             study |= placer.choose_study(sd)
+        self.choices = FirstChoices(study, parameters)
+        # of tip tracks, degrees: of the direction of each run, and of what all share
+        self.slope_sds_deg = max(placer.slope_sds_deg for placer in self.placers)
+        if any(placer.pose == "free" for placer in self.placers):
+            self.pose = "free"
         # what all needles share is stated once, what differs with each
         needles = dict.fromkeys(curve.needle for curve in self.curves)
         names = {needle: f"needle{n}" for n, needle in enumerate(needles, 1)} if len(needles) > 1 else {}
+        self.needle = next(iter(needles))  # of the rows that name none
+        self.needles = {name: needle for needle, name in names.items()}
         by_medium = group_values((curve.row.medium, curve.boundaries) for curve in self.curves)
-        shared = {medium: depths[0] if len({*depths}) == 1 else () for medium, depths in by_medium.items()}
+        # by medium: depths of the boundaries between its layers, mm, where there are no surfaces
+        self.boundaries_mm = {
+            medium: depths[0] if len({*depths}) == 1 else () for medium, depths in by_medium.items()
+        }
         for curve in self.curves:
+            shared = self.boundaries_mm[curve.row.medium]
             curve.fill(
                 needle=names.get(curve.needle, ""),
                 point_sd=None if curve.point_sd == sd else curve.point_sd,
-                boundaries=None if curve.boundaries == shared[curve.row.medium] else curve.boundaries,
+                boundaries=None if curve.boundaries == shared else curve.boundaries,
             )
-        pose: Pose = "free" if any(placer.pose == "free" for placer in self.placers) else "known"
-        return ImportPlan(
-            tuple(curve.row for curve in self.curves),
-            pose,
-            tuple(self.surfaces),
-            shared,
-            next(iter(needles)),
-            sd,
-            {name: needle for needle, name in names.items()},
-            choices=FirstChoices(study, parameters),
-            slope_sds_deg=max(placer.slope_sds_deg for placer in self.placers),
-        )
+
+    @property
+    def rows(self) -> list[InsertionRow]:
+        """A row for each insertion, those of tip tracks last."""
+        return [curve.row for curve in self.curves]
 
     def settle_curvature_sd(self) -> None:
         """Give curvatures the standard deviation that is stated of all; without a cell, the usual one."""
@@ -185,12 +171,12 @@ class Planner(CurveAnswers):
             f"{name}: {'; '.join(f'{depth:g}' for depth in depths) or 'none'}"
             for name, depths in layers.items()
         ]
-        reason = f"boundaries of specimens differ ({join_names(texts, 4)})"
-        if len({*map(len, layers.values())}) > 1:
-            self.settle("medium", "specimen", reason)
-        elif any(max(cast) > MAX_CAST_RATIO * min(cast) for cast in zip(*layers.values(), strict=True)):
+        is_other = len({*map(len, layers.values())}) > 1
+        if is_other or any(max(c) > MAX_CAST_RATIO * min(c) for c in zip(*layers.values(), strict=True)):
             fix = f"if these are right, and all of the same tissues: {name_set('medium', 'gel')}; if each "
-            self.settle("medium", "", reason, fix=f"{fix}has its own: {name_set('medium', 'specimen')}")
+            fix += f"has its own: {name_set('medium', 'specimen')}"
+            reason = f"boundaries of specimens differ ({join_names(texts, 4)})"
+            self.settle("medium", "specimen" if is_other else "", reason, fix=fix)
 
     def settle_needles(self) -> None:
         """Settle the needle of each insertion; DataError if one is not longer than it was inserted."""

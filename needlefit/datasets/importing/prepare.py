@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from needlefit.datasets.importing.meanings import (
     list_bare_numbers,
     list_factors,
 )
-from needlefit.datasets.importing.place import ImportPlan, Planner
+from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.read import read_curves, read_mapped
 from needlefit.datasets.importing.stated import Question, Settler, UnansweredError, name_set
 from needlefit.errors import ConfigError, DataError
@@ -123,11 +123,12 @@ def _prepare(paths: Sequence[Path], assignments: Pairs, mapping: Path | None) ->
         assumed["missing"] = f"points without a measured coordinate are left out: {left_out}"
     settler = Settler(values, assumed, is_complete=mapping is not None)
     columns = [*_describe_columns(record, files)]
-    plan = Planner(content, settler).make_plan()
+    plan = ImportPlan(content, settler)
     assumed = {key: assumed[key] for key in dict.fromkeys((*DECISIVE, *assumed)) if key in assumed}
     origin = "example" if examples else record.origin
     record = record.model_copy(update={"values": values, "assumed": assumed, "origin": origin})
-    plan = replace(plan, examples=tuple(examples) if len(examples) < len(content.curves) else ())
+    if len(examples) < len(content.curves):
+        plan.examples = tuple(examples)
     return PreparedImport(record, content, plan, unused, settler.notes, columns)
 
 
@@ -237,14 +238,8 @@ def _require_lengths(content: ImportContent, record: MappingRecord) -> None:
     if short is None or "lengths" in record.values or longest < MAX_LENGTH_RATIO * short.reach:
         return
     answers = {"differ": {"lengths": "differ"}, f"without {short.name}": {"leave_out": short.name}}
-    problem = f"{short.name} is {short.reach:.3g} mm long, the longest needle {longest:.3g} mm"
-    raise UnansweredError(
-        Question("", f"{problem}. Is this right?", answers, short.points.where()),
-        what=problem,
-        expected="lengths in one unit",
-        fix=f"correct the unit in its file; or, if it is right, {name_set('lengths', 'differ')}; or leave it "
-        f"out: {name_set('leave_out', short.name)}",
-    )
+    text = f"{short.name} is {short.reach:.3g} mm long, the longest needle {longest:.3g} mm. Is this right?"
+    raise UnansweredError(Question("", text, answers, short.points.where()))
 
 
 # ---- the screen

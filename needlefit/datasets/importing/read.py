@@ -47,38 +47,30 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
     `where`: the file of the mapping, for messages. DataError if a file of the mapping is not there, a column
     is not there, a cell is not understood, or a needle is not found in a table that states facts of needles.
     """
-    content = ImportContent([], _read_surfaces(mapping, paths), {path.name: sha256(path) for path in paths})
+    surfaces, left_out = _read_surfaces(mapping, paths), list[str]()
     tables = [*list_tables(mapping, paths, where)]
-    left_out = list[str]()
-    content.curves[:] = read_curves(tables, left_out)
+    curves = read_curves(tables, left_out)
     for mapped in tables:
         if not mapped.kind.has_points:
-            _add_rows(mapped, content.curves)
+            _add_rows(mapped, curves)
     unwanted = {name.strip() for name in mapping.values.get("leave_out", "").split(",")} - {""}
-    known = {name for curve in content.curves for name in (curve.name, curve.given)}
-    if missing := unwanted - known:
+    names = {name for curve in curves for name in (curve.name, curve.given)}
+    if missing := unwanted - names:
         raise DataError(
             f"no needle is called {join_names(sorted(missing), MAX_LISTED_NAMES)}, to be left out",
-            expected=join_names(sorted(known), MAX_LISTED_NAMES),
+            expected=join_names(sorted(names), MAX_LISTED_NAMES),
             fix=f"correct {name_set('leave_out')}",
             where=where,
         )
-    content.curves[:] = [curve for curve in content.curves if not unwanted & {curve.name, curve.given}]
-    if not content.curves:
+    curves = [curve for curve in curves if not unwanted & {curve.name, curve.given}]
+    if not 0 < len(curves) <= MAX_CURVES:
         raise DataError(
-            "holds no needle",
-            expected=f"one of {', '.join(kind.name for kind in list_kinds() if kind.placer)}",
-            fix="correct the mapping",
+            f"holds {len(curves)} needles",
+            expected=f"1 to {MAX_CURVES}, in {', '.join(kind.name for kind in list_kinds() if kind.placer)}",
+            fix="correct the mapping: what its tables hold, and the column of needle",
             where=where,
         )
-    if len(content.curves) > MAX_CURVES:
-        raise DataError(
-            f"holds {len(content.curves)} needles",
-            expected=f"at most {MAX_CURVES}",
-            fix="correct the column of needle",
-            where=where,
-        )
-    return replace(content, left_out=left_out)
+    return ImportContent(curves, surfaces, {path.name: sha256(path) for path in paths}, left_out)
 
 
 def read_curves(tables: Sequence[MappedTable], left_out: list[str]) -> list[ImportedCurve]:
@@ -107,9 +99,9 @@ def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surfac
         if read_coordinate_system(path) == "RAS":
             surface = transform_surface(surface, RAS_TO_LPS)
         surface = replace(surface, kind="solid" if surface.is_closed else "sheet")
-        faults = list(find_surface_faults(surface, path))
+        faults = [*find_surface_faults(surface, path)]
         if surface.kind == "sheet" and not faults:
-            faults = list(find_hole(surface, path, "close the hole, or save the sheet alone"))
+            faults = [*find_hole(surface, path, "close the hole, or save the sheet alone")]
         if faults:
             raise as_error(faults, path)
         taken = {surface.name for surface in surfaces}
@@ -136,70 +128,44 @@ def _fit_plane(path: Path) -> Surface:
 
 
 def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedCurve]:
-    """Yield the needles of a table of points, each with its points in their order."""
-    columns = mapped.record.columns
+    """Yield the needles of a table of points, each with the points that were measured, in their order."""
+    table, columns = mapped.table, mapped.record.columns
     is_deflection = "deflection" in columns or "x" not in columns
     across = ("deflection", "deflection_z") if "deflection" in columns else ("y", "z")
     axes = ["depth" if is_deflection else "x", *across]
     mapped.require(*axes[:2])
     axes = [axis for axis in axes if axis in columns]
     names, is_wide = mapped.names, mapped.record.layout == "wide"
-    rows = group_values(((names[n], n * is_wide), n) for n in mapped.kept_rows)
-    for (name, _), numbers in rows.items():
-        points, missing = _list_measured(mapped, numbers, axes)
+    groups = group_values(((names[n], n * is_wide), n) for n in mapped.kept_rows)
+    for (name, _), numbers in groups.items():
+        rows, points, missing = list[int](), list[list[float]](), 0
+        for n in numbers:
+            for k, texts in enumerate(zip(*(mapped.cells[axis][n] for axis in axes), strict=False)):
+                if all(texts):
+                    rows.append(n)
+                    points.append([mapped.read_number(axis, n, k) for axis in axes])
+                else:
+                    places = (mapped.list_columns(axis)[k : k + 1] for axis in axes)
+                    missing += any(table.rows[n][place] for of_axis in places for place in of_axis)
         if missing:
-            left_out.append(f"{missing} of {name or mapped.table.name}")
-        if points:
-            yield _make_curve(mapped, name, points, axes, is_deflection)
-
-
-def _list_measured(
-    mapped: MappedTable, rows: Sequence[int], axes: Sequence[str]
-) -> tuple[list[tuple[int, list[float]]], int]:
-    """Return row and numbers of the points that were measured, and how many lack a coordinate."""
-    columns = [mapped.list_columns(axis) for axis in axes]
-    measured, missing = list[tuple[int, list[float]]](), 0
-    for n in rows:
-        cells = [mapped.cells[axis][n] for axis in axes]
-        for k in range(max(map(len, cells))):
-            raw = [mapped.table.rows[n][places[k]] for places in columns if k < len(places)]
-            if all(k < len(texts) and texts[k] for texts in cells):
-                measured.append((n, [mapped.read_number(axis, n, k) for axis in axes]))
-            else:
-                missing += any(raw)
-    return measured, missing
-
-
-def _make_curve(
-    mapped: MappedTable,
-    name: str,
-    points: Sequence[tuple[int, list[float]]],
-    axes: Sequence[str],
-    is_deflection: bool,
-) -> ImportedCurve:
-    rows = [row for row, _ in points]
-    values = np.zeros((len(rows), 3))
-    values[:, : len(axes)] = [numbers for _, numbers in points]
-    lines = mapped.table.lines
-    stated = mapped.read_facts(rows)
-    if is_deflection:
-        stated.pop("depth", None)
-    curve = ImportedCurve(
-        name or mapped.table.name,
-        Points(
-            Path(mapped.table.where),
-            values,
-            np.array([lines[n] for n in rows], dtype=np.int64) if lines else None,
-            _read_sds(mapped, rows),
-        ),
-        mapped.kind,
-        stated,
-        is_deflection=is_deflection,
-        guide=_read_guide(mapped, rows),
-        is_named=bool(name),
-    )
-    mapped.kind.read(mapped, curve, rows)
-    return curve
+            left_out.append(f"{missing} of {name or table.name}")
+        if not points:
+            continue
+        values = np.pad(np.array(points), ((0, 0), (0, 3 - len(axes))))
+        lines = np.array([table.lines[n] for n in rows], dtype=np.int64) if table.lines else None
+        curve = ImportedCurve(
+            name or table.name,
+            Points(Path(table.where), values, lines, _read_sds(mapped, rows)),
+            mapped.kind,
+            mapped.read_facts(rows),
+            is_deflection=is_deflection,
+            guide=_read_guide(mapped, rows),
+            is_named=bool(name),
+        )
+        if is_deflection:
+            curve.stated.pop("depth", None)
+        mapped.kind.read(mapped, curve, rows)
+        yield curve
 
 
 def _read_sds(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:

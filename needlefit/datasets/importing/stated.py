@@ -39,26 +39,17 @@ class Stated:
             raise self.error(key, expected)
         return value * factor
 
-    def to_entry(self) -> Floats:
-        """Return the entry point (3,), mm, in a text such as `0,0,1`; DataError if it is none."""
-        unit = self.unit or "mm"
-        if unit not in UNITS_MM:
-            raise self.error("entry_point", f"three numbers in one of {', '.join(UNITS_MM)}")
-        return UNITS_MM[unit] * self.to_vector("entry_point", is_direction=False)
-
-    def to_vector(self, key: str, is_direction: bool = True) -> Floats:
-        """Return the vector (3,) in a text such as `0,0,1` or `+z`; DataError if it is none."""
+    def to_vector(self, key: str) -> Floats:
+        """Return the vector (3,) in a text such as `0,0,1` or `+z`, places in mm; DataError if it is none."""
         axis = re.fullmatch("([+-]?)([xyz])", self.text.strip().lower())
         text = self.text if axis is None else ",".join(f"{axis[1]}{int(name == axis[2])}" for name in "xyz")
+        is_place = key == "entry_point"
+        factor = UNITS_MM.get(self.unit or "mm", np.nan) if is_place else 1.0
         try:
-            vector = np.array([float(part) for part in re.split("[,;]", text)])
+            vector = factor * np.array([float(part) for part in re.split("[,;]", text)])
         except ValueError:
             vector = np.empty(0)
-        if (
-            len(vector) != 3
-            or not (np.abs(vector) < MAX_COORDINATE).all()
-            or (is_direction and not vector.any())
-        ):
+        if len(vector) != 3 or not (abs(vector) < MAX_COORDINATE).all() or not (is_place or vector.any()):
             raise self.error(key, "three numbers, such as 0,0,1")
         return vector
 
@@ -131,23 +122,19 @@ class Question:
 
 
 class UnansweredError(DataError):
-    """Questions that nobody answers; the fix states what answers them.
+    """Questions that nobody answers; the fix states what answers them."""
 
-    `what`, `expected` and `fix`: of one that has words of its own.
-    """
-
-    def __init__(self, *questions: Question, what: str = "", expected: str = "", fix: str = "") -> None:
+    def __init__(self, *questions: Question, fix: str = "") -> None:
         self.question = questions[0]
-        fixes = list[str]()
-        if plain := " ".join(name_set(question.key) for question in questions if not question.choices):
-            fixes.append(f"state {plain}")
-        for question in questions:
-            options = [" ".join(map(name_set, keys, keys.values())) for keys in question.choices.values()]
-            fixes += [f"state {', or '.join(options)}"] if options else []
+        plain = " ".join(name_set(question.key) for question in questions if not question.choices)
+        options = [
+            ", or ".join(" ".join(map(name_set, keys, keys.values())) for keys in question.choices.values())
+            for question in questions
+        ]
         super().__init__(
-            what or f"needs an answer. {' '.join(question.text for question in questions)}",
-            expected=expected or f"an answer to {'each' if len(questions) > 1 else 'it'}",
-            fix=fix or "; ".join(fixes),
+            f"needs an answer. {' '.join(question.text for question in questions)}",
+            expected=f"an answer to {'each' if len(questions) > 1 else 'it'}",
+            fix=fix or "; ".join(f"state {option}" for option in (plain, *options) if option),
             where=questions[0].where,
         )
 
@@ -170,7 +157,6 @@ class Settler:
         key: str,
         usual: str | None = None,
         reason: str = "",
-        choices: tuple[str, ...] = (),
         fix: str = "",
         where: str = "",
         is_sure: bool = False,
@@ -179,24 +165,22 @@ class Settler:
 
         `usual`: proposed; empty: somebody must state it. None: that of the key. `is_sure`: files state it.
 
-        UnansweredError if there is no answer, DataError if it is none of the `choices`.
+        UnansweredError if there is no answer, DataError if it is none of those of the key.
         """
         meaning = VALUES[key]
         usual = meaning.usual if usual is None else usual
         reason = reason or meaning.reason
         if key not in self.values:
             if not usual or (self.is_complete and not is_sure):
-                problem = f"{key} is not stated{f': {reason}' if reason else ''}"
-                answers = {choice: {key: choice} for choice in choices}
-                question = Question(key, f"{problem}. {meaning.text}", answers, where)
-                expected = f"one of {', '.join(choices)}" if choices else meaning.text
-                raise UnansweredError(question, what=problem, expected=expected, fix=fix)
+                text = f"{key} is not stated{f': {reason}' if reason else ''}. {meaning.text}"
+                answers = {choice: {key: choice} for choice in meaning.choices}
+                raise UnansweredError(Question(key, text, answers, where), fix=fix)
             self.values[key] = usual
             if not is_sure:
                 self.assumed[key] = reason
         stated = Stated(self.values[key], "", f"key values.{key}")
-        if choices and stated.text not in choices:
-            raise stated.error(key, f"one of {', '.join(choices)}")
+        if meaning.choices and stated.text not in meaning.choices:
+            raise stated.error(key, f"one of {', '.join(meaning.choices)}")
         return stated
 
     def note(self, subject: str, text: str) -> None:

@@ -16,6 +16,8 @@ from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.csv import check_extent
 from needlefit.datasets.importing.meanings import (
     ATTRIBUTES,
+    EXPORTS,
+    MEANINGS,
     find_meaning,
     is_side,
     read_header,
@@ -35,14 +37,7 @@ MAX_TABLE_BYTES = 16 * 2**20  # largest text table (bytes)
 MAX_TABLE_CELLS = 1_000_000  # largest table (cells, empty ones included)
 MAX_SHEET_BYTES = 64 * 2**20  # largest workbook (bytes)
 MAX_CELL_CHARS = 500  # longest text of a cell (characters): longer text is no header and no number
-MISSING = ("nan", "na", "n/a", "-", "--", "null", "none", "missing", "#n/a", "#div/0!", "inf", "-inf", "+inf")
-CODES = ("-999", "-999.0", "-9999", "-9999.0", "-99", "999", "9999")  # numbers that stand for no measurement
 UNIT_FIELDS = ("unit", "units")  # names of columns and of fields beside a curve, in lower case
-EXPORT_FIX = "export the points as CSV, one a row, with columns needle, x, y, z and the unit in the headers"
-EXPORT_FIXES = {
-    **dict.fromkeys((".vtk", ".vtp", ".vtu"), "in ParaView: File, Save Data, CSV, a needle a file"),
-    ".dcm": "RT structure sets are read; scans are read by `needlefit reconstruct`",
-}
 
 
 class SheetNumber(str):
@@ -211,7 +206,7 @@ def is_comment(row: Sequence[str], comment: str) -> bool:
 
 
 BLOCK = "block"  #: header of the numbers of blocks, where there are several
-REMARKED = ("needle", "unit", "medium|specimen", *ATTRIBUTES)  #: what a remark may state
+REMARKED = {"needle", "unit", *ATTRIBUTES}  #: what a line above a table may state
 OF_TEXT = ("needle", "medium", "specimen", "medium|specimen")  #: whose values are any text
 OWN_PAIRS = ("needle", "depth", "bevel_side", "medium", "specimen")  #: they end with their block
 
@@ -224,7 +219,7 @@ def _list_body(
     What all needles share holds until it is stated again. Remarks state what no column does; `unread` gets
     the lines that state nothing. Of a table of pairs the one row has no cells.
     """
-    first, last = min(record.header_rows, default=0), max(record.header_rows, default=0)
+    last = max(record.header_rows, default=0)
     heads = [*grid.rows[last - 1]] if 0 < last <= len(grid.rows) else []
     if record.layout == "pairs":
         triples = [(*row, "", "", "")[:3] for row in grid.rows[last:]]
@@ -238,52 +233,45 @@ def _list_body(
         block += n in repeated
         if n in repeated or n + 1 in (*record.header_rows, *record.skip_rows) or not any(row):
             continue
-        is_remark = is_comment(row, record.comment)
-        sign = " " if record.separator in ("", " ", "\t") else f"{record.separator} "
-        line = sign.join(filter(None, row)).lstrip(f"{record.comment} ")
-        if is_remark:
-            pairs_of_row, rest = read_remark(line, heads)
-        else:
-            is_full = n >= last and sum(map(bool, row)) == len(heads) > len(("name", "value"))
-            pair = read_pair(row) if record.blocks and not is_full else None
-            pairs_of_row, rest = dict([pair]) if pair else {}, line
-        if rest and (is_remark or (n + 1 < first and not record.blocks)):
+        filled, is_remark = [text for text in row if text], is_comment(row, record.comment)
+        is_full = len(filled) == len(heads) > len(("name", "value"))
+        is_pair = record.blocks and not is_full and len(filled) < 4 and not is_like_number(filled[0])
+        is_line = is_remark or n < last or is_pair
+        pairs, rest = read_statements(filled, record, heads) if is_line else ({}, "")
+        if rest:
             unread.append(rest)
-        if pairs_of_row:
+        if pairs:
             stated = stated if is_above else {key: text for key, text in stated.items() if key not in ends}
-            stated, is_above = stated | pairs_of_row, True
-        elif n >= last and not is_remark:
+            stated, is_above = stated | pairs, True
+        elif not is_line:
             yield n, row, stated | ({BLOCK: str(block)} if len(repeated) > 1 else {})
             is_above = False
 
 
-def read_pair(row: Sequence[str]) -> tuple[str, str] | None:
-    """Return the name and the value in a row; of a title alone the name is `title`. None of any other row.
-
-    `depth | 40`, `depth | 40 | mm`, `boundaries | 20 | 40`, `depth: 40`, `Needle 3`.
-    """
-    filled = [text.strip("# ") for text in row if text]
-    if not filled or parse_number(filled[0]) is not None or parse_number(filled[0], ",") is not None:
-        return None
-    if len(filled) == 1:
-        name, sign, value = re.split("([:=：]|$)", filled[0], maxsplit=1)
-        return (name.strip(), value.strip()) if sign else ("title", filled[0])
-    name, *values = filled
-    if len(values) == 2 and parse_number(values[1]) is None:
-        return f"{name.rstrip(':= ')} [{values[1]}]", values[0]
-    return (name.rstrip(":= "), "; ".join(values)) if len(row) == 2 or len(values) < 3 else None
+def is_like_number(text: str) -> bool:
+    """Whether a text is a number, with a decimal point or a comma."""
+    return any(parse_number(text, sign) is not None for sign in ".,")
 
 
 _NUMBERS = re.compile(r"(-?\d(?:[\d.,; ]*\d)?) *([^\W\d]*)")  # `15, 35 mm`
 _NEXT_PHRASE = re.compile(r"[,;，；] *(?=[^\W\d_])")  # before a word: numbers behind a comma are of a list
 
 
-def read_remark(text: str, head: Sequence[str]) -> tuple[dict[str, str], str]:
-    """Return the values that a line of remarks states of the needles of a table, by name; and the rest.
+def read_statements(
+    cells: Sequence[str], record: TableRecord, head: Sequence[str]
+) -> tuple[dict[str, str], str]:
+    """Return the values that a line states of the needles of a table, by name; and the rest.
 
-    `# depth: 40 mm`, `# medium: gel`, `# needle 18G, length 150 mm, bevel up`. What a column of the `head`
-    states is not read. The rest are the phrases that state nothing.
+    `depth | 40 | mm`, `boundaries | 20 | 40`, `# depth: 40 mm`, `# needle 18G, length 150 mm, bevel up`.
+    What a column of the `head` states is not read. The rest are the phrases that state nothing.
     """
+    name, *values = (text.strip(f"{record.comment}# ") for text in cells)
+    sign = " " if record.separator in ("", " ", "\t") else f"{record.separator} "
+    text = sign.join(filter(None, (name, *values)))
+    name = name.rstrip(":=： ")
+    if values and not re.search("[:=：]", name) and can_be_stated(name):
+        has_unit = len(values) == 2 and not is_like_number(values[1])
+        text = f"{name}: {(' ' if has_unit else '; ').join(values)}"
     in_head, stated = {read_header(cell).meaning for cell in head}, dict[str, str]()
     rest, subject, text_name = list[str](), "", ""
     for phrase in _NEXT_PHRASE.split(text):
@@ -298,6 +286,11 @@ def read_remark(text: str, head: Sequence[str]) -> tuple[dict[str, str], str]:
     return stated, ", ".join(rest)
 
 
+def can_be_stated(name: str) -> bool:
+    """Whether a name is of what lines above a table may state."""
+    return not REMARKED.isdisjoint(read_header(name).meaning.split("|"))
+
+
 def _read_phrase(phrase: str, subject: str) -> tuple[str, str]:
     """Return the name and the value in a phrase of a remark, empty if it states nothing.
 
@@ -308,16 +301,18 @@ def _read_phrase(phrase: str, subject: str) -> tuple[str, str]:
         name, value = re.fullmatch(r"(.*?) *(\d.*|\S*)", phrase, re.DOTALL).groups()  # type: ignore[union-attr]
     unit = (read_quantity(value) or (0, ""))[1]
     if unit == "G" and read_header(name).meaning in ("", "needle", "diameter"):
-        return "gauge", value
-    names = [text for text in (name, f"{subject} {name}") if read_header(text).meaning in REMARKED]
-    meaning = read_header(name := names[0]).meaning if names else ""
+        return name if read_header(name).meaning == "diameter" else "gauge", value
+    names = [text for text in (name, f"{subject} {name}") if can_be_stated(text)]
+    name = min(names, key=lambda text: "|" in read_header(text).meaning, default="")
+    meaning = read_header(name).meaning
     if meaning == "bevel_side":
         return (name, value) if is_side(value, "") else ("", "")
     if meaning == "unit":
         return (name, value) if find_meaning("unit", value) in UNITS_MM else ("", "")
     if not meaning or not (sign or unit in UNITS_MM):
         return "", ""
-    is_text = meaning in OF_TEXT or meaning == "diameter" or find_meaning("value", value)
+    has_unit = any(MEANINGS[part].unit for part in meaning.split("|") if part in MEANINGS)
+    is_text = not has_unit or meaning == "diameter" or find_meaning("value", value)
     quantity = _NUMBERS.match(value)
     if is_text or quantity is None:
         return (name, value) if is_text else ("", "")
@@ -336,23 +331,21 @@ def read_grids(path: Path, record: TableRecord) -> tuple[Grid, ...]:
     return (split_text(text, path, record.separator),)
 
 
-def decode(data: bytes, path: Path, encoding: str = "") -> str:
-    """Return the text of a file: by its byte order mark, else as stated, else UTF-8, else Windows-1252."""
+def decode(data: bytes, path: Path, encoding: str) -> str:
+    """Return the text of a file, by its byte order mark, else as stated."""
     is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    names = ["utf-16"] if is_wide else [encoding or "utf-8-sig", *(["cp1252"] if not encoding else [])]
-    for name in names:
-        try:
-            text = data.decode("utf-8-sig" if name == "utf-8" else name)
-        except (UnicodeDecodeError, LookupError):
-            continue
-        if "\0" not in text:
-            return text.removeprefix("\ufeff")
-    raise DataError(
-        f"cannot be read as text in {names[0]}",
-        expected="text in UTF-8, UTF-16 or Windows-1252",
-        fix="state its encoding, or save it again as CSV (UTF-8)",
-        where=path,
-    )
+    try:
+        text = data.decode("utf-16" if is_wide else encoding)
+    except (UnicodeDecodeError, LookupError):
+        text = "\0"
+    if "\0" in text:
+        raise DataError(
+            f"cannot be read as text in {encoding}",
+            expected="text in UTF-8, UTF-16 or Windows-1252",
+            fix="state its encoding, or save it again as CSV (UTF-8)",
+            where=path,
+        )
+    return text.removeprefix("\ufeff")
 
 
 def split_text(text: str, path: Path, separator: str) -> Grid:
@@ -455,7 +448,7 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
         raise DataError(
             f"has the ending {path.suffix!r}, which is not read",
             expected="a table, a workbook, .mat, .jsonl, markups of Slicer, or an RT structure set",
-            fix=EXPORT_FIXES.get(path.suffix.lower(), EXPORT_FIX),
+            fix=EXPORTS.get(path.suffix.lower(), EXPORTS["other"]),
             where=path,
         )
     curves, remarks = form.read_curves(path)

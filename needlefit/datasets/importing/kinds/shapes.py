@@ -51,9 +51,6 @@ STEP_MM = 0.01  # distance (mm) between the places along a needle at which the e
 OTHER_END = {"first": "last", "last": "first"}  # of the answers at which end of its points a needle enters
 
 
-SWAPPED = "their columns may be swapped"
-
-
 class ShapePlacer(Placer):
     """Places shapes, question by question: each may depend on what was settled before."""
 
@@ -79,7 +76,7 @@ class ShapePlacer(Placer):
             reason = f"{list_names(against)} runs against the others"
             fix = f"{advise_order(against)}; or, if needles enter from two sides, state "
             fix += f"{name_set('entry', 'first')}, and {name_set('pose', 'free')}"
-        self.entry = self.settle("entry", "" if against else "first", reason, ("first", "last"), fix).text
+        self.entry = self.settle("entry", "" if against else "first", reason, fix).text
         for curve in self.curves if self.entry == "last" else ():
             curve.points = curve.points.part(np.arange(len(curve.line))[::-1])
 
@@ -115,19 +112,13 @@ class ShapePlacer(Placer):
         }
         off = [curve for curve, angle in angles.items() if angle > MAX_HEADING_DEG]
         if off:
-            is_back = angles[off[0]] > 180.0 - MAX_HEADING_DEG
-            fix = f"state {name_set('pose', along)}"
-            if is_back:
-                end = name_set("entry", OTHER_END[self.entry])
-                fix += f"; or, if the files begin at the tips, {end}"
-            if 2 * len(off) < len(poses):
-                fix = advise_order(off) if is_back else f"look at {list_places(off)}: {SWAPPED}"
-            raise poses[off[0]].error(
-                "pose",
-                f"at most {MAX_HEADING_DEG:g} degrees off the needles, {along}; "
-                f"{list_names(off)} runs {angles[off[0]]:.0f} degrees off it",
-                fix,
-            )
+            angle, end = angles[off[0]], name_set("entry", OTHER_END[self.entry])
+            fix = f"state {name_set('pose', along)}; or look at {list_places(off)}: columns may be swapped"
+            if angle > 180.0 - MAX_HEADING_DEG:
+                fix = f"state {name_set('pose', along)}; or, if the files begin at the tips, {end}"
+                fix = fix if 2 * len(off) > len(poses) else advise_order(off)
+            needed = f"at most {MAX_HEADING_DEG:g} degrees off the needles, {along}; {list_names(off)} runs "
+            raise poses[off[0]].error("pose", f"{needed}{angle:.0f} degrees off it", fix)
         return poses
 
     def settle_entry_points(self, without: str) -> None:
@@ -177,7 +168,7 @@ class ShapePlacer(Placer):
             return curve.length - curve.depth
         if answer.text == "first":
             return 0.0
-        curve.entry, along = answer.to_entry(), np.arange(0.0, curve.length, STEP_MM)
+        curve.entry, along = answer.to_vector("entry_point"), np.arange(0.0, curve.length, STEP_MM)
         gaps = np.linalg.norm(curve.points.curve.interpolate(along) - curve.entry, axis=1)
         return float(along[np.argmin(gaps)])
 
@@ -306,16 +297,15 @@ class ShapePlacer(Placer):
             guess = format_direction(sides.mean)
             reason = "the mean direction in which needles bend from their sides"
             if not sides.agree:
-                largest = np.cos(np.radians(MAX_HEADING_DEG))
-                is_off = sides.units @ sides.mean < largest
-                off, rest = np.flatnonzero(is_off), to_unit(sides.toward[~is_off].sum(axis=0))
-                names = list_names([curves[n] for n in off]) or "some needles"
-                fix = f"look at the bevel side of {names} in its source"
-                if any(abs(sides.units[n] @ rest) < largest for n in off):  # bent across, to no side
-                    fix = f"look at the points of {names}: {SWAPPED}"
-                guess = format_direction(rest if rest.any() else sides.mean)
-                fix += f"; if that is right: {name_set('bevel', guess)}"
-                cells = [cell for n in off if (cell := curves[n].stated.get("bevel_side"))]
+                is_off = sides.units @ sides.mean < np.cos(np.radians(MAX_HEADING_DEG))
+                rest = to_unit(sides.toward[~is_off].sum(axis=0))
+                off = [curves[n] for n in np.flatnonzero(is_off)]
+                names, likely = list_names(off) or "some needles", rest if rest.any() else sides.mean
+                fix = (
+                    f"look at the bevel side of {names} in its source, and whether y and z of its points are "
+                )
+                fix += f"swapped; if that is right: {name_set('bevel', format_direction(likely))}"
+                cells = [curve.stated["bevel_side"] for curve in off if "bevel_side" in curve.stated]
                 where = cells[0].where if cells else ""
                 guess, reason = "", f"the bevel side of {names} and that of the others contradict each other"
         answer = self.settle("bevel", guess, reason, fix=fix, where=where)

@@ -160,7 +160,7 @@ def place_tips(asked: CurveAnswers) -> None:
         guess, reason = format_direction(up / (np.linalg.norm(up) or 1.0)), "across the needle, in the plane"
     up = asked.settle("bevel", guess, reason).to_vector("bevel")
     for curve, entry in asked.each("entry_point", usual="0,0,0", reason="the origin").items():
-        curve.frame = make_entry_frame(entry.to_entry(), poses[curve].to_vector("pose"), up)
+        curve.frame = make_entry_frame(entry.to_vector("entry_point"), poses[curve].to_vector("pose"), up)
         curve.points = replace(curve.points, values=curve.frame.to_local(curve.line))
         curve.is_deflection = True
 

@@ -4,9 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.datasets.importing.curve_answers import (
+    Answers,
     BendsOfSides,
     CurveAnswers,
     Placer,
@@ -47,6 +49,8 @@ class TrackPlacer(Placer):
         for curve in curves:
             curve.depths = curve.line[:, 0] if curve.is_deflection else curve.depths
         settle_depth_zero(self)
+        if self.is_stated("entry_point") and any(len(curve.depths) for curve in curves):
+            self.settler.note("entry_point", "not used of runs whose depths are stated")
         if not all(len(curve.depths) for curve in curves):
             measure_depths(self)
         settle_rolls(self)
@@ -190,31 +194,26 @@ def settle_guide(asked: CurveAnswers) -> None:
     DataError if several tools of a file may be the tip, or no tool has the stated name.
     """
     curves, stated = asked.curves, asked.stated("guide")
-    rows = group_values(
-        ((curve.points.path, *curve.points.lines), curve.name)
-        for curve in curves
-        if curve.points.lines is not None
-    )
-    beside = sorted(name for tools in rows.values() if len(tools) > 1 for name in tools)
     if stated == "none":
         for curve in curves:
             curve.guide = None
-        return
-    if any(curve.guide is not None for curve in curves) or not (beside or stated):
+    with_lines = [curve for curve in curves if curve.points.lines is not None]
+    rows = group_values(((curve.points.path, *curve.points.lines), curve.name) for curve in with_lines)  # type: ignore[misc]
+    beside = sorted(name for tools in rows.values() if len(tools) > 1 for name in tools)
+    is_known = stated == "none" or any(curve.guide is not None for curve in curves)
+    if is_known or not (beside or stated):
         return
     names = join_names(beside or [curve.name for curve in curves], 5)
     answer = asked.settle("guide", "", f"{names} were tracked in the same rows")
     guides = [curve for curve in curves if f"-{curve.name}".endswith(f"-{answer.text}")]
-    tips = [curve for curve in curves if curve not in guides]
+    curves[:] = [curve for curve in curves if curve not in guides]
     for guide in guides:
-        paired = [
-            tip for tip in tips if tip.points.path == guide.points.path and len(tip.line) == len(guide.line)
-        ]
+        of_file = [tip for tip in curves if tip.points.path == guide.points.path]
+        paired = [tip for tip in of_file if len(tip.line) == len(guide.line)]
         if len(paired) == 1:
             paired[0].guide = guide.line
-    if sum(tip.guide is not None for tip in tips) != len(guides) or not guides:
+    if not 0 < len(guides) == sum(tip.guide is not None for tip in curves):
         raise answer.error("guide", f"none, or one of {names}, tracked beside one tip at the same times")
-    curves[:] = tips
 
 
 def settle_depth_zero(asked: CurveAnswers) -> None:
@@ -240,13 +239,9 @@ def settle_depth_zero(asked: CurveAnswers) -> None:
             raise answer.error("depth_zero", f"first_reading: {curve.name} begins at {curve.depths[0]:g} mm")
         zeros = {"tissue": 0.0, "first_reading": float(curve.depths[0])}
         zero = zeros[answer.text] if answer.text in zeros else answer.to_number("depth_zero")
-        kept = np.flatnonzero(curve.depths >= zero)
-        if not len(kept):
+        if zero > curve.depths[-1]:
             raise answer.error("depth_zero", f"at most the depth of its readings, {curve.depths[-1]:g} mm")
-        if len(kept) < len(curve.depths):
-            count = f"{len(curve.depths) - len(kept)} of {len(curve.depths)} readings"
-            asked.settler.note(curve.name, f"{count} are left out: before contact")
-        curve.keep(kept, curve.depths - zero)
+        keep_readings(asked, curve, curve.depths - zero, curve.depths >= zero, "before contact")
 
 
 def measure_depths(asked: CurveAnswers) -> None:
@@ -254,22 +249,32 @@ def measure_depths(asked: CurveAnswers) -> None:
     chord = np.sum([curve.chord for curve in asked.curves], axis=0)
     guess = format_direction(snap_to_axis(normalize(chord)))
     pose = asked.settle("pose", guess, "the direction in which the tips run")
-    axis, entry = normalize(pose.to_vector("pose")), None
-    if asked.stated("entry_point"):
-        entry = asked.settle("entry_point").to_entry()
+    axis, entries = normalize(pose.to_vector("pose")), Answers()
+    if asked.is_stated("entry_point"):
+        entries = asked.each("entry_point")
     for curve, sd in asked.numbers("point_sd", is_above=True).items():
         if len(curve.depths):
             continue  # its file states them
-        depth = (curve.line - (curve.line[0] if entry is None else entry)) @ axis
-        deepest, is_kept = np.maximum.accumulate(depth), depth >= 0
-        if np.any(np.diff(depth) <= 0) and np.all(deepest - depth <= MAX_BACKWARD_SDS * sd):
+        depths = (curve.line - (entries[curve].to_vector("entry_point") if entries else curve.line[0])) @ axis
+        deepest, is_kept, why = np.maximum.accumulate(depths), depths >= 0, "before the entry"
+        if np.any(np.diff(depths) <= 0) and np.all(deepest - depths <= MAX_BACKWARD_SDS * sd):
             is_kept &= np.diff(deepest, prepend=-np.inf) > 0
-            count = f"{np.sum(~is_kept)} of {len(depth)} readings"
-            asked.settler.note(curve.name, f"{count} are left out: by noise less deep than one before")
-        kept = np.flatnonzero(is_kept)
-        curve.keep(kept, depth)
-    start = "the first reading" if entry is None else "the entry point"
+            why = "by noise less deep than one before"
+        keep_readings(asked, curve, depths, is_kept, why)
+    start = "the entry point" if entries else "the first reading"
     asked.settler.assumed["depth"] = f"the path of the tip along {pose.text} from {start} on"
+
+
+def keep_readings(
+    asked: CurveAnswers, curve: ImportedCurve, depths: Floats, is_kept: NDArray[np.bool_], why: str
+) -> None:
+    """Leave out the other readings, and say why; `depths`: of all, mm."""
+    if not is_kept.all():
+        count = f"{np.sum(~is_kept)} of {len(depths)} readings"
+        asked.settler.note(curve.name, f"{count} are left out: {why}")
+    rows = np.flatnonzero(is_kept)
+    curve.points, curve.depths = curve.points.part(rows), depths[rows]
+    curve.guide = None if curve.guide is None else curve.guide[rows]
 
 
 def is_guided(curve: ImportedCurve) -> bool:
@@ -285,7 +290,7 @@ def propose_tracks(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     if is_stated or not (points := draft.points):
         return draft.points
     if draft.are_deflections:
-        is_track, reason = draft.increases(draft.taken["depth"]), "the depths of each needle increase"
+        is_track, reason = draft.increases(draft.taken["depth"][0]), "the depths of each needle increase"
     else:
         is_tip = any(column.beside in ("tip", "deflection") for column in draft.axis_columns)
         is_alone = len(draft.groups) < 2 and not draft.names_rows
