@@ -218,9 +218,15 @@ def test_coverage_of_several_trials_has_an_interval(levels, passed):
     assert (found[Check.INTERVALS].trials, found[Check.INTERVALS].tips) == (7, 7)
 
 
-def by_trials(results):
-    """Give each prediction a fit and a specimen of its own."""
-    predictive = results.frames["predictive"]
+@pytest.mark.parametrize(("trials", "half"), [(3, None), (4, False)])
+def test_all_tips_of_three_trials_do_not_contradict_one_half(trials, half):
+    results = by_trials(with_predictions(study(1), (0.3,)), trials)
+    assert find(results, Check.COVERAGE_50).passed is half
+
+
+def by_trials(results, count=None):
+    """Give each prediction, or `count` of them, a fit and a specimen of its own."""
+    predictive = results.frames["predictive"].iloc[:count]
     numbers = [str(number) for number in range(len(predictive))]
     return results.with_frames(predictive=predictive.assign(fold=numbers, specimen=numbers))
 

@@ -371,12 +371,17 @@ def check_needles(run: Run, judged: Judgement) -> Iterator[Finding]:
     yield finding
 
 
+#: trials of which the 95 % confidence interval of a share, all or none, excludes one half
+FEWEST_TRIALS = 4
+
+
 def check_intervals(
     predictive: pd.DataFrame, recipe: RecipeRecord | None, held_out: int = 0, score: str = TE
 ) -> Iterator[Finding]:
     """Yield how many tips lie in their intervals; of tips, how wide the 95 % intervals are.
 
-    A share fails if its 95 % confidence interval, by trials, excludes what was predicted. One trial has none.
+    A share fails if its 95 % confidence interval, by trials, excludes what was predicted. One trial has none,
+    and two or three cannot exclude one half.
     There no tip in its 95 % interval fails: however tips depend on each other, right intervals miss all of
     them in at most 5 % of cases. Of the `held_out` insertions those that could not be predicted have no
     interval.
@@ -389,8 +394,10 @@ def check_intervals(
         """Return how many insertions lie in what holds them with a probability of `level`."""
         share = count_covered(predictive, f"{covered_by}_in_{100 * level:.0f}")
         covered: bool | None = share.low <= level <= share.high
-        if share.groups == 1:
-            covered = False if which is Check.INTERVALS and share.hits == 0 else None
+        if which is Check.COVERAGE_50 and share.groups < FEWEST_TRIALS:
+            covered = None
+        elif share.groups == 1:
+            covered = False if share.hits == 0 else None
         finding = Finding(which, covered, share.hits, level * share.trials, score=score, beyond=beyond)
         return replace(finding, trials=share.groups, tips=share.trials, missing=missing)
 

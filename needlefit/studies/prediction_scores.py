@@ -233,8 +233,12 @@ COVERAGE_COLUMNS = (
 
 
 def tabulate_coverage(predictions: pd.DataFrame) -> Row:
-    """Return the cells of `COVERAGE_COLUMNS` for some needles: shares within intervals, width, mean score."""
-    proportions = {name: count_covered(predictions, name) for name in COVERAGE_COLUMNS if "_in_" in name}
+    """Return the cells of `COVERAGE_COLUMNS` for some needles: shares within intervals, width, mean score.
+
+    Of curvatures alone no tip is known: those cells are left out.
+    """
+    known = [name for name in COVERAGE_COLUMNS if "_in_" in name and predictions[name].notna().any()]
+    proportions = {name: count_covered(predictions, name) for name in known}
     shares = {
         name: f"{proportion.hits} ({100 * proportion.low:.0f}–{100 * proportion.high:.0f} %)"
         if proportion.groups > 1
