@@ -24,7 +24,7 @@ from needlefit.studies.judge import (
     list_checks,
 )
 from needlefit.studies.prediction_scores import tabulate_coverage
-from needlefit.studies.scored_groups import orient_pits
+from needlefit.studies.scored_groups import GROUPINGS, find_paper_row, orient_pits
 
 
 def needles(**te_mm):
@@ -464,3 +464,21 @@ def test_the_share_of_covered_tips_stands_with_its_interval():
     # levels 0.1, 0.4, 0.7, 0.97: two within 50 %, four within 95 %; Wilson's intervals by hand
     found = tabulate_coverage(predictions)
     assert (found["tip_in_50"], found["tip_in_95"]) == ("2 (15–85 %)", "4 (51–100 %)")
+
+
+@pytest.mark.parametrize(
+    ("medium", "layers", "te_mm", "insertions"),
+    [
+        ("phantom1", 3, 0.29, 10),
+        ("phantom2", 4, 0.44, 9),
+        ("chicken", 1, 0.35, 12),
+        ("phantom1", 2, None, None),
+    ],
+)
+def test_fitted_insertions_stand_beside_the_table_of_the_paper_that_holds_them(
+    medium, layers, te_mm, insertions
+):
+    """By layers, or by media where all insertions of a medium have as many layers."""
+    group = {"medium": medium, "layers": layers, "grouping": GROUPINGS["tuning"]}
+    row, count = find_paper_row(group)
+    assert (row.get("te_mm"), count) == (te_mm, insertions)

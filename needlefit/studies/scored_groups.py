@@ -207,7 +207,7 @@ def list_groups(run: Run, table: str = "validation") -> list[ScoredGroup]:
     for (medium, layers), some in means.groupby(["medium", "layers"], sort=False):
         rows = to_records(some)
         about = {"study": study_label(run), "grouping": GROUPINGS[table], "medium": medium, "layers": layers}
-        printed, insertions = _find_paper_row(about)
+        printed, insertions = find_paper_row(about)
         printed = {} if count_directions(run) > 1 else printed  # the paper compares needles in their planes
         beside = {
             "paper_insertions": insertions,
@@ -237,7 +237,7 @@ def pool_insertions(run: Run) -> ScoredGroup | None:
     return _make_group(rows, grouping=GROUPINGS["validation" if role == "validate" else "tuning"], **about)
 
 
-def _find_paper_row(group: Row) -> tuple[Row, int | None]:
+def find_paper_row(group: Row) -> tuple[Row, int | None]:
     """Return the paper's row of a group, empty where it has none, and its number of insertions."""
     medium, layers = group["medium"], group["layers"]
     if group["grouping"] == GROUPINGS["validation"]:
@@ -247,4 +247,6 @@ def _find_paper_row(group: Row) -> tuple[Row, int | None]:
     printed, listed = (
         paper.select_rows(name, medium=medium, layers=layers) for name in ("tuning_by_layers", "insertions")
     )
+    if listed == paper.select_rows("insertions", medium=medium):  # all of this number of layers
+        printed = printed or paper.select_rows("tuning_by_media", medium=medium)
     return next(iter(printed), {}), sum(row["insertions"] for row in listed) if printed else None
