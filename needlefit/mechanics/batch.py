@@ -81,6 +81,7 @@ class Batch:
     #: (B,) the share of each move of the base since first contact that the needle follows
     gain: Floats | None = None
     guide_x: Floats | None = None  #: (B,) where the one guide before the tissue stands, mm; there must be one
+    given: tuple[str, ...] = field(init=False, repr=False, compare=False)  #: names of what the sets give
     #: the insertion as the kernel reads it, by kinds of derivatives and steps past; filled at first use
     prepared: dict[tuple[tuple[str, ...] | None, int], PreparedInsertion] = field(
         default_factory=dict, init=False, repr=False, compare=False
@@ -109,12 +110,13 @@ class Batch:
         if self.guide_x is not None and any(len(step.controls.before) != 1 for step in self.steps):
             raise ModelError("guide_x is given", expected="exactly one guide before the tissue in every step")
         object.__setattr__(self, "steps", tuple(self.steps))
+        object.__setattr__(self, "given", tuple(sizes))
         if self.rigidity is not None:
             require_roll_of_one_rigidity(self.tissue, self.steps)
         warn_of_units(self.needle, self.tissue, self.steps, self.rules)
 
     def __len__(self) -> int:
-        return next(len(v) for name in VARYING_FIELDS if (v := self.__dict__[name]) is not None)
+        return len(getattr(self, self.given[0]))
 
     @property
     def nodes(self) -> int:
@@ -129,9 +131,8 @@ class Batch:
 
         Raises ModelError if these are not the parameters that this batch varies.
         """
-        given = {name for name in VARYING_FIELDS if getattr(self, name) is not None}
-        if values.keys() != given:
-            raise ModelError(f"sets of {', '.join(values)}", expected=f"of {', '.join(sorted(given))}")
+        if values.keys() != set(self.given):
+            raise ModelError(f"sets of {', '.join(values)}", expected=f"of {', '.join(sorted(self.given))}")
         other = copy(self)
         other.__dict__.update(values)
         return other
@@ -140,8 +141,7 @@ class Batch:
         """Return the same insertion with some of the sets, in their order."""
         if len(range(len(self))[sets]) == len(self):
             return self  # whose arrays other batches share
-        given = {name: getattr(self, name) for name in VARYING_FIELDS}
-        return self.with_sets(**{name: array[sets] for name, array in given.items() if array is not None})
+        return self.with_sets(**{name: getattr(self, name)[sets] for name in self.given})
 
     def vary_inputs(self, i: int) -> tuple[Needle, tuple[Step, ...]]:
         """Return needle and steps with the parameters of set i, but for the roll and the gain."""
@@ -533,7 +533,7 @@ def _run(
 
 def _evaluate(batch: Batch, wrt: tuple[str, ...] | None, tracked: bool, past: int = 0) -> Evaluation:
     """Return the sets of a batch, of an insertion that is prepared once for all batches of `with_sets`."""
-    values = {name: getattr(batch, name) for name in VARYING_FIELDS if getattr(batch, name) is not None}
+    values = {name: getattr(batch, name) for name in batch.given}
     place = max(step.depth for step in batch.steps) - batch.needle.length if "guide_x" in values else 0.0
     valid = _find_valid(batch, values, place)
     if wrt is not None and "boundaries" in values:
@@ -575,7 +575,8 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None, tracked: bool, past: in
 
 def _find_valid(batch: Batch, values: Mapping[str, Floats], base: float) -> Bools:
     """Return which sets are made of numbers that a tissue or needle may have, (B,); `base` is its x, mm."""
-    valid = np.ones(len(batch), dtype=bool)
+    count = len(batch)
+    valid = np.ones(count, dtype=bool)
     for name, value in values.items():
         accepted = np.abs(value) <= MAX_NUMBER  # NaN compares as false
         if name in ("mu", "rigidity"):
@@ -588,7 +589,7 @@ def _find_valid(batch: Batch, values: Mapping[str, Floats], base: float) -> Bool
             accepted &= (value >= low) & (value <= high)
         if name == "guide_x":  # before the tissue, and where the base does not come to it
             accepted &= (value < 0) & (value > base)
-        valid &= accepted.reshape(len(batch), -1).all(axis=1)
+        valid &= accepted.reshape(count, -1).all(axis=1)
     return valid
 
 
