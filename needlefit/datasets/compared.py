@@ -142,12 +142,7 @@ def find_left_planes(
         problem = f"compared in the plane of their bevels, which they leave: {named}"
         if any(insertion.curvature is not None for insertion in insertions):
             problem += ", and by their curvatures along y alone"
-        yield ResultWarning(
-            kind="bevel_plane",
-            what=problem,
-            where=where,
-            fix='leave `compared` out, or write "space"',
-        )
+        yield ResultWarning("bevel_plane", problem, where, 'leave `compared` out, or write "space"')
 
 
 def find_curve_roll(insertion: Insertion) -> float:

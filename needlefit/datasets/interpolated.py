@@ -79,12 +79,7 @@ def find_interpolated_warnings(checked: Checked) -> Iterator[ResultWarning]:
     if interpolated:
         curves = [entry.insertion for entry in interpolated]
         counts = [f"{curve.id} ({curve.independent} of {len(curve.points)})" for curve in curves]
-        yield ResultWarning(
-            kind="interpolated",
-            what=(
-                "points are interpolated between fewer measured ones: "
-                f"{join_names(counts, MAX_NAMED_INSERTIONS)}"
-            ),
-            where=interpolated[0].points.where(),
-            fix="export the measured points alone",
-        )
+        named = join_names(counts, MAX_NAMED_INSERTIONS)
+        problem = f"points are interpolated between fewer measured ones: {named}"
+        place, fix = interpolated[0].points.where(), "export the measured points alone"
+        yield ResultWarning("interpolated", problem, place, fix)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.special import bdtrc
+from scipy.special import bdtrc, ndtr
 
 from needlefit.datasets.bend_sides import measure_bends
 from needlefit.datasets.compared import MAX_NAMED_INSERTIONS, MIN_BEND_SLOPE, MIN_LOG_ODDS, compute_entry_sd
@@ -21,10 +21,6 @@ from needlefit.datasets.points import find_rounding
 from needlefit.datasets.scatter import AXIS_COSINE, measure_scatter
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
-
-#: of a coordinate that two needles share by errors alone, for so many pairs as a thousand datasets have
-MAX_PASTED_CHANCE = 1e-9
-
 
 # ---- bevel sides
 
@@ -101,6 +97,7 @@ def find_copy_warnings(checked: Checked) -> Iterator[ResultWarning]:
     values = [entry.points.values for entry in listed]
     step = max(find_rounding(values), SAME_POINT_MM)
     chance = min(1.0, step / (2 * math.sqrt(math.pi) * noise.point_sd)) if noise.point_sd else 1.0
+    least_chance = ndtr(-OUTLIER_SD) / max(1, math.comb(len(values), 2))  # of any two needles
     counts = np.array([len(points) for points in values])
     padded = np.full((len(values), max(counts), 3), np.nan)
     for points, row in zip(values, padded, strict=True):
@@ -112,7 +109,7 @@ def find_copy_warnings(checked: Checked) -> Iterator[ResultWarning]:
         common = np.minimum(counts[:n], counts[n])[:, None]
         # along the needles all may be sampled alike, and what does not vary is no measurement
         is_measured = (np.abs(entry) < AXIS_COSINE) & (np.ptp(values[n], axis=0) > 0)
-        is_same = is_measured & (same > common / 2) & (bdtrc(same - 1, common, chance) < MAX_PASTED_CHANCE)
+        is_same = is_measured & (same > common / 2) & (bdtrc(same - 1, common, chance) < least_chance)
         for m, axes in enumerate(is_same):
             if is_copy := places[m] <= places[n] or places[n] <= places[m]:
                 axes[:] = True

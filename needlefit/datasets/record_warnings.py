@@ -10,7 +10,6 @@ from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers import MISSED_FIX, Checked, name_small_unit
 from needlefit.datasets.scatter import SD_MM, find_scatter_warnings
 from needlefit.datasets.spellings import find_spellings
-from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.project.unit_warnings import (
@@ -55,33 +54,20 @@ def find_record_warnings(
     where = format_place(file)
     texts = {key: getattr(record, key) for key in ("title", "license", "source", "notes")}
     if keys := [key for key, text in texts.items() if PLACEHOLDER in text]:
-        yield ResultWarning(
-            kind="placeholder",
-            what=f'"{PLACEHOLDER}" is left in {", ".join(f"`{key}`" for key in keys)}',
-            where=where(keys[0]),
-            fix="write what was measured; reports print it",
-        )
+        problem = f'"{PLACEHOLDER}" is left in {", ".join(f"`{key}`" for key in keys)}'
+        fix = "write what was measured; reports print it"
+        yield ResultWarning("placeholder", problem, where(keys[0]), fix)
     needles = record.all_needles
     for name, needle in needles.items():
         yield from needle_warnings(needle, where, needle_key(name))
     if record.import_ is not None and (examples := record.import_.examples):
-        yield ResultWarning(
-            kind="examples",
-            what=(
-                "simulated examples of the workbook are among the needles: "
-                f"{join_names(examples, len(examples))}"
-            ),
-            where=where("import.examples"),
-            fix="delete their rows, and import again",
-        )
+        problem = f"simulated examples of the workbook are among the needles: {', '.join(examples)}"
+        fix = "delete their rows, and import again"
+        yield ResultWarning("examples", problem, where("import.examples"), fix)
     if assumed:
         listed = "; ".join(f"{key} ({why})" for key, why in assumed.items())
-        yield ResultWarning(
-            kind="assumed",
-            what=f"the import assumed {listed}",
-            where=MAPPING_FILE,
-            fix="correct it, or import again with --set; then remove its line from [assumed]",
-        )
+        fix = "correct it, or import again with --set; then remove its line from [assumed]"
+        yield ResultWarning("assumed", f"the import assumed {listed}", MAPPING_FILE, fix)
     noise = record.noise
     larger = "point" if noise.point_sd_mm >= noise.correlated_sd_mm else "correlated"
     for name, plausible, units in (
@@ -170,21 +156,15 @@ def _find_surface_warnings(name: str, group: Sequence[Insertion], where: str) ->
         places = [surface.vertices for surface in group[0].surfaces]
         within = any(((one.min(axis=0) <= points) & (points <= one.max(axis=0))).all() for one in places)
         fix = "they begin within its bounds: close the hole where they enter" if within else MISSED_FIX
-        yield ResultWarning(
-            kind="surfaces",
-            what=f"{len(missed)} of {len(group)} insertions into {name} meet none of its surfaces",
-            where=where,
-            fix=fix,
-        )
+        problem = f"{len(missed)} of {len(group)} insertions into {name} meet none of its surfaces"
+        yield ResultWarning("surfaces", problem, where, fix)
     orders = [[layer for layer in dict.fromkeys(one.sequence) if layer in sheets] for one in meeting]
     turned = [order != sorted(order) for order in orders if len(order) > 1]
     if turned and all(turned):
-        yield ResultWarning(
-            kind="surfaces",
-            what=f"needles into {name} meet its layers in the order {' > '.join(map(str, max(orders)))}",
-            where=where,
-            fix="number `into` (at an import: name the files) in the order of the surfaces",
-        )
+        order = " > ".join(map(str, max(orders)))
+        problem = f"needles into {name} meet its layers in the order {order}"
+        fix = "number `into` (at an import: name the files) in the order of the surfaces"
+        yield ResultWarning("surfaces", problem, where, fix)
 
 
 def find_number_warnings(checked: Checked) -> Iterator[ResultWarning]:

@@ -8,7 +8,6 @@ another, stiff layers and flat cuts may describe the needles.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -60,41 +59,36 @@ def find_common(problem: Problem, theta: Floats) -> Explanation | None:
 
     before = predict(problem, theta, simulated)
 
-    def deviate(after: Prediction, is_right: bool = True) -> Deviation:
-        gain = after.log_density - before.log_density
-        return Deviation(0.0 if is_right else math.inf, gain, max(1.0, after.chi_square))
+    def search(change: Change) -> tuple[dict[float, Deviation], float]:
+        """Search the size of what happened in turn with the other parameters.
 
-    def search_pose(change: Change) -> tuple[dict[float, Deviation], float]:
-        """Search the size and the other parameters in turn: about a fit needles are linear in both."""
-        fitted, size = theta, 0.0
-        for _ in range(SEARCH_STEPS):
-            found, sd = search_sizes(partial(measure_linear, change, fitted), change.starts)
-            likeliest = max(found, key=lambda near: found[near].log_density)
-            if found[likeliest].log_density <= LOG_FITTED or abs(likeliest - size) < sd / 2:
-                break
-            size = likeliest
-            # that to needles as measured may have ended far away
-            fitted = fit_quickly(change_all(problem, change, size), fitted)
-        return found, sd
+        About a fit needles are linear in both; but for those that are simulated anew, each with its own fit.
+        """
+        fits, size, changes_model = {0.0: theta}, 0.0, change.row.changes_model
 
-    def measure_linear(change: Change, fitted: Floats, sizes: Sequence[float]) -> list[Deviation]:
-        return [deviate(predict(change_all(problem, change, size), fitted, simulated)) for size in sizes]
-
-    def search_boundary(change: Change) -> tuple[dict[float, Deviation], float]:
-        fits = {0.0: theta}  # by size
+        def measure(sizes: Sequence[float]) -> list[Deviation]:
+            return [measure_one(size) for size in sizes]
 
         def measure_one(size: float) -> Deviation:
-            changed = change_all(problem, change, size)
-            near = fits[min(fits, key=lambda other: abs(other - size))]
-            fitted = fits[size] = refit(changed, changed.insertions, near)
-            after = predict(changed, fitted)
-            is_implausible = list_implausible(problem.values(fitted), problem.medium.constraint_spacing_mm)
-            return deviate(after, not is_implausible and after.describes(count))
+            changed, fitted = change_all(problem, change, size), fits[min(fits, key=lambda k: abs(k - size))]
+            if changes_model:
+                fitted = fits[size] = refit(changed, changed.insertions, fitted)
+            after = predict(changed, fitted, None if changes_model else simulated)
+            is_plausible = not list_implausible(problem.values(fitted), problem.medium.constraint_spacing_mm)
+            is_right = not changes_model or (is_plausible and after.describes(count))
+            gain = after.log_density - before.log_density
+            return Deviation(0.0 if is_right else math.inf, gain, max(1.0, after.chi_square))
 
-        return search_sizes(lambda sizes: [measure_one(size) for size in sizes], change.starts)
-
-    def search(change: Change) -> tuple[dict[float, Deviation], float]:
-        return search_boundary(change) if change.row.changes_model else search_pose(change)
+        for _ in range(SEARCH_STEPS):
+            found, sd = search_sizes(measure, change.starts)
+            likeliest = max(found, key=lambda k: found[k].log_density)
+            gain, moved = found[likeliest].log_density, abs(likeliest - size)
+            if changes_model or gain <= LOG_FITTED or moved < sd / 2:
+                break
+            # the fit to needles as measured may have ended far away
+            fits = {likeliest: fit_quickly(change_all(problem, change, likeliest), fits[size])}
+            size = likeliest
+        return found, sd
 
     # of bevels that all face one way an error of the model looks like any change in their plane
     is_one_sided = len({insertion.side for insertion in problem.insertions}) == 1

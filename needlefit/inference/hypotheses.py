@@ -190,11 +190,13 @@ def explain(changes: Iterable[Change], search: Search, nothing: float) -> Explan
         size = max(odds, key=lambda size: odds[size])
         sd *= math.sqrt(deviations[size].misfit)
         rows.append(Explanation(change, size, sd, deviations[size].sds, odds[size]))
-    rows = [row for row in rows if math.isfinite(row.sds)]  # else it is no fit that can be
-    best = max(rows, key=lambda row: row.log_odds, default=None)
+    right = [row for row in rows if math.isfinite(row.sds)]
+    best = max(right, key=lambda row: row.log_odds, default=None)
     if best is None or best.sds > PREDICTED_SD:
         return None
-    other = max((row.log_odds for row in rows if row.change.cause != best.change.cause), default=0.0)
+    # of other causes those that can be; of the same one also what cannot be: then another number is wrong
+    others = [row for row in rows if (row.change.cause == best.change.cause) == math.isinf(row.sds)]
+    other = max((row.log_odds for row in others), default=0.0)
     is_sized = len(best.change.starts) == 1 or math.isfinite(best.sd)
     is_clear = best.log_odds >= max(HAPPENED_LOG_ODDS, other + MIN_LOG_ODDS)
     return best._replace(is_clear=is_sized and is_clear)
