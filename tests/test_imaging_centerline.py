@@ -61,7 +61,7 @@ def test_a_needle_is_followed_along_three_points_and_a_tip_beside_it_is_refused(
     line = centerline.trace_needle(volume, rough, cases.RECIPE)
     assert cases.off(line.points, truth).max() < 0.10
     assert np.linalg.norm(line.tip - truth[-1]) < 0.12 and line.points[0, 2] < 1.0  # it leaves the volume
-    rod = follow.select_rod(volume, rough, cases.RECIPE)
+    rod = follow.select_axis_voxels(volume, rough)
     assert abs(rod.length - 40.5) < 2.0
     refusal(DataError, "", follow.follow_points, volume, points + np.array([0, 6.0, 0]), cases.RECIPE)
     refusal(DataError, "", follow.follow_points, volume, points[:2], cases.RECIPE)

@@ -5,10 +5,12 @@ import pytest
 from ct_cases import ENTRY, RECIPE, axis, scan
 from refusals import refusal
 from scanner.render import ScannerTable, SceneMarkers
+from scipy.ndimage import label
 from scipy.spatial.distance import cdist
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
+from needlefit.imaging.bright_voxels import BrightVoxels
 from needlefit.imaging.markers import find_markers, refine_fiducials
 from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.volume import Volume
@@ -101,3 +103,14 @@ def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
     assert moved.sd[4] == 0.3
     given = np.array([[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]])
     refusal(DataError, "1 of 2 fiducials", refine_fiducials, given, plain, RECIPE, balls)
+
+
+@pytest.mark.parametrize("corners", [True, False])
+def test_bright_voxels_hang_together_as_scipy_labels_them(corners):
+    mask = np.random.default_rng(1).random((9, 20, 30)) < (0.08 if corners else 0.3)
+    flat = np.flatnonzero(mask)
+    labels = BrightVoxels(mask.shape, 0.0, flat, np.ones(len(flat), np.float32)).label(0.5, corners=corners)[
+        1
+    ]
+    known = label(mask, np.ones((3, 3, 3)) if corners else None)[0].ravel()[flat]
+    assert len(set(zip(labels, known, strict=True))) == len(set(labels)) == len(set(known)) > 5

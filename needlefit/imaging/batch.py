@@ -19,8 +19,8 @@ from needlefit.imaging.corrections import make_control_points
 from needlefit.imaging.entry import choose_entry
 from needlefit.imaging.needle.follow import follow_tube
 from needlefit.imaging.needle.segmentation import list_needles
-from needlefit.imaging.reconstruct import STAGES, VolumeSearch, add_views, examine, picture_curve
-from needlefit.imaging.reconstruction import CurvePicture, Reconstruction
+from needlefit.imaging.reconstruct import STAGES, VolumeSearch, examine, picture_curve
+from needlefit.imaging.reconstruction import CurvePicture, Reconstruction, render_views
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import to_patient
 from needlefit.imaging.volume_files import read_volume
@@ -133,7 +133,9 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan, report: Callable[[str]
     found = examine(search.volume, scan, search.recipe, search, report)
     report("pictures")
     if found.error is None and found.reconstruction is not None:
-        one = add_views(found.reconstruction, search.volume)
+        one = found.reconstruction
+        place = one.patient, one.frame, one.needle_axis.points
+        one = replace(one, views=render_views(search.volume, *place))
         if scan.corrections is None:
             return one
         moved = [name for name, places in vars(scan.corrections).items() if places is not None]

@@ -40,12 +40,16 @@ class BrightVoxels:
             grid = np.array(self.shape) + 1
             places = np.ravel_multi_index(np.unravel_index(flat, self.shape), tuple(grid))
             steps = (CORNERS if corners else FACES) @ [grid[1] * grid[2], grid[2], 1]
-            links = np.concatenate(
-                [np.intersect1d(places, places - step, True, return_indices=True)[1:] for step in steps],
-                axis=1,
-            )
-            graph = coo_array((np.ones(links.shape[1], np.int8), links), shape=(len(flat), len(flat)))
-            labels = connected_components(graph, directed=False)[1]
+            # links of runs along the rows: those of voxels would take several times the volume's memory
+            run = np.cumsum(np.diff(places, prepend=places[:1]) > 1)
+            count, links = run[-1] + 1 if len(run) else 0, np.empty(0, np.int64)
+            for step in steps:
+                there = np.minimum(np.searchsorted(places, places + step), len(places) - 1)
+                met = places[there] == places + step
+                links = np.union1d(links, run[met] * count + run[there[met]])
+            pairs = np.divmod(links, max(count, 1))
+            graph = coo_array((np.ones(len(links), np.int8), pairs), shape=(count, count))
+            labels = connected_components(graph, directed=False)[1][run]
             self._labels[level, corners] = above, np.asarray(labels, dtype=np.int64)
         return self._labels[level, corners]
 

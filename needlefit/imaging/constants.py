@@ -5,6 +5,34 @@ the part `tuning` of `benchmarks/real_scanners.py`, and `benchmarks/reconstructi
 14060 and below; [G]: `--guides 0:8, 500:517`. Steps and tolerances of an algorithm stand beside it.
 """
 
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of a quantity before it is fitted: a value, the deviation of its logarithm, its range."""
+
+    value: float
+    sd: float
+    range: tuple[float, float] = (0.0, np.inf)
+
+
+class SCANNER:
+    """The point spread of scanners, and what a beam does in metal."""
+
+    BLUR = Known(0.45, 0.3, (0.15, 1.2))  # in the slices, mm [R]
+    BOOST = Known(0.5, 1.0, (-0.2, 5.0))  # of middle frequencies, by kernels; the deviation is its own [R]
+    # Across slices, over their distance: a box has 0.29, helical scans more; range, mm, also along needles
+    SLICE_BLUR = Known(0.33, 0.5, (0.1, 2.0))
+    METAL = Known(20_000.0, 0.7, (0.0, 5e4))  # HU: titanium has 8 000, steel 30 000, hardened 15 000
+    BALL = Known(1e4, 1.0, (10.0, 1e5))  # HU: glass or metal
+    ATTENUATION = Known(0.75, 0.25)  # of the needle, 1/mm
+    HARDENING = Known(0.3, 0.35)  # relative variance of the attenuation over the spectrum
+    SCATTER = Known(0.012, 0.6)  # over the open beam
+    LINEARITY = Known(1.0, 0.3)  # of the slices over a scanner's
+
 
 class HU:
     """Values of a scan, HU."""
@@ -21,7 +49,6 @@ class HU:
     METAL_CONTRAST = 500.0  # by which metal stands out from tissue, and tissue from air, at least
     HUB = 1500.0  # of a metal hub, least [S]
     CLIPPED = 3071.0  # the largest number of 12 bits; streaks beyond a tip are less bright or dark
-    NEEDLE = 20_000.0  # titanium has 8 000, steel 30 000, hardened 15 000
 
 
 class MM:
@@ -67,9 +94,6 @@ class MM:
     BEVEL_POINT = 0.04  # of a bevel's point that is too thin to show: mean of 24 volumes [S]
     HIDDEN = 15.0  # of a needle that rays hide: at its end, behind a hub, or between two pieces [R]
     SWING_SD = 0.1  # by which a needle leaves its shaft's course within its bevel
-    BLUR = 0.45  # of scanners, in the slices [R]
-    BLURS = (0.15, 1.2)  # range of it
-    SLICE_BLURS = (0.1, 2.0)  # the same across slices, and along a needle
     LEAST_SLICE_BLUR = 0.2  # of scanners, across slices
     STREAK_RADIUS = 0.8  # deviation of a streak across [R]
     TIP_DOUBT = 0.3  # deviation of the tip along, or along the slices' normal, that is spoken of
@@ -99,9 +123,6 @@ class PART:
     FLATNESS = 1.15  # voxels' length over width of a scanner's slices; those of cone beams are cubes
     HUB_RADIUS = 1.8  # least, over the needle's diameter
     BOX = 0.8  # of the variance of a slice's profile: the rest is a Gaussian's
-    BOOST = 0.5  # of middle frequencies, by scanners' kernels [R]
-    BOOSTS = (-0.2, 5.0)  # range of it
-    SLICE_BLUR = 0.33  # of the distance of slices: a box has 0.29, helical scans more
     SIGNAL_ERROR = 0.04  # of what a voxel shows of metal: the model's own error [R]
     # Of the voxels' spacing along the needle, at its tip: of ten volumes of [G] errors are 0.92 of what this
     # states, in root mean square

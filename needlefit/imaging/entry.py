@@ -257,16 +257,19 @@ def _list_behind_metal(
     Streaks go on beyond its faces, and blur moves both outwards alike: the middle of its brighter part is
     right. In the streaks air behind it is a dip, at whose end the tissue begins.
     """
-    known = np.isfinite(profile.around)
-    s, values, found = profile.s[known], profile.around[known], list[EntryCandidate]()
+    known, found = np.isfinite(profile.around), list[EntryCandidate]()
+    if not known.any():
+        return found
+    s = np.arange(*profile.s[known][[0, -1]], 0.05)
+    values = np.interp(s, profile.s[known], profile.around[known])
     for run, behind in pairwise(runs):
         if (run.kind, behind.kind) != ("metal", "soft"):
             continue
-        bright = np.where((s >= run.begin - MM.BLUR_REACH) & (s <= run.end), values, -np.inf)
-        cut = find_cuts(values[np.isfinite(bright)])[1] < np.inf  # then blur widens it more
-        level = (PART.BRIGHTEST if cut else PART.SHOWN) * bright.max()
-        first, *_, last = np.flatnonzero(bright >= level)
-        begin, end = (_cross(s, values, level, int(n)) for n in (first, last + 1))
+        inside = (s >= run.begin - MM.BLUR_REACH) & (s <= run.end)
+        stations = known & (profile.s >= run.begin) & (profile.s <= run.end)
+        cut = find_cuts(profile.around[stations])[1] < np.inf  # then blur widens it more
+        level = (PART.BRIGHTEST if cut else PART.SHOWN) * values[inside].max()
+        begin, end = s[inside & (values >= level)][[0, -1]].tolist()
         stated = end - begin if thickness is None else thickness
         beyond, shown = (some[(s > end) & (s <= behind.end)] for some in (s, values))
         risen = np.flatnonzero(shown - np.minimum.accumulate(shown) >= HU.METAL_CONTRAST)[:1]
@@ -277,17 +280,9 @@ def _list_behind_metal(
         for n in risen:
             low = int(np.argmin(shown[: n + 1]))
             middle = (shown[low] + shown[n:].max()) / 2
-            entry = _cross(beyond, shown, middle, low + int(np.argmax(shown[low:] >= middle)))
+            entry = float(beyond[low + int(np.argmax(shown[low:] >= middle))])
         found.append(EntryCandidate(entry, MM.HIDDEN_FACE_SD, (begin, end)))
     return found
-
-
-def _cross(s: Floats, values: Floats, level: float, n: int) -> float:
-    """Return where values (N,) at `s` (N,) pass a level before station `n`, mm; the end where it has none."""
-    if not 0 < n < len(s):
-        return float(s[min(n, len(s) - 1)])
-    part = (level - values[n - 1]) / (values[n] - values[n - 1])
-    return float(s[n - 1] + part * (s[n] - s[n - 1]))
 
 
 def _choose_face(faces: Sequence[EntryCandidate], soft: Sequence[MaterialRun]) -> tuple[EntryCandidate, str]:

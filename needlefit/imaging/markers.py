@@ -15,7 +15,7 @@ from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.errors import DataError
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
-from needlefit.imaging.constants import HU, MM, PART, SD
+from needlefit.imaging.constants import HU, MM, PART, SCANNER, SD
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.point_spread import average_spreads
 from needlefit.imaging.reconstruction import MarkerResult
@@ -203,7 +203,7 @@ def _find_fault(volume: Volume, ball: SphereFit, middle: Floats, max_misfit: flo
         return "cut by the volume's face"
     # a blur at its upper bound means that the fit did not find a ball
     moved = np.linalg.norm(ball.center - middle) >= ball.radius
-    if moved or ball.spread.blur >= 0.99 * MM.BLURS[1]:
+    if moved or ball.spread.blur >= 0.99 * SCANNER.BLUR.range[1]:
         return "no ball of this size explains it"
     return f"misfit {ball.misfit:.2f}, at most {max_misfit:.2f} allowed" * (ball.misfit > max_misfit)
 

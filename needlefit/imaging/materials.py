@@ -12,7 +12,7 @@ from scipy.optimize import curve_fit
 from scipy.special import ndtr
 
 from needlefit.arrays import Floats, Ints
-from needlefit.imaging.constants import HU, MM, PART, SD
+from needlefit.imaging.constants import HU, MM, PART, SCANNER, SD
 from needlefit.imaging.needle.axis_spline import (
     PLANE_SPACING_MM,
     correlation_factor,
@@ -145,10 +145,10 @@ def _fit_edge(
     def show(s: Floats, at: float, width: float, low: float, high: float, slope: float) -> Floats:
         return low + (high - low + slope * np.clip(s - at, 0, None)) * ndtr((s - at) / width)
 
-    first = np.array([guess, MM.BLUR, low, high, 0.0])
+    first = np.array([guess, SCANNER.BLUR.value, low, high, 0.0])
     margin = np.array([MM.EDGE_BLUR, np.inf, HU.STEP if narrow else np.inf, np.inf, np.inf])
     bounds = first - margin, first + margin
-    bounds[0][1], bounds[1][1] = MM.SLICE_BLURS[0], MM.SLICE_BLURS[1]
+    bounds[0][1], bounds[1][1] = SCANNER.SLICE_BLUR.range
     noise = max(1.0, 1.05 * float(np.median(np.abs(np.diff(values)))))  # HU are whole numbers
     best, covariance = curve_fit(
         show,
@@ -208,7 +208,7 @@ def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float, fl
     """Return the change at a place on a common slope, its deviation, HU, and how many stations are as one."""
     near = np.abs(s - place) <= 2 * MM.EDGE_BLUR
     x, y = s[near] - place, values[near]
-    design = np.stack([np.ones(len(x)), x, ndtr(x / MM.BLUR)], axis=1)
+    design = np.stack([np.ones(len(x)), x, ndtr(x / SCANNER.BLUR.value)], axis=1)
     inverse = np.linalg.pinv(design)
     left = y - design @ (inverse @ y)
     sd = np.linalg.norm(left) / np.sqrt(max(1, len(x) - 3)) * np.linalg.norm(inverse[2])

@@ -15,18 +15,16 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from needlefit.arrays import Floats
-from needlefit.imaging.constants import MM, PART
+from needlefit.imaging.constants import MM, PART, SCANNER
 
 # Of more voxels every second, third ... is fitted: neighbours in fine voxels are one in the blur.
 MAX_FITTED_VOXELS = 4000
-# Scanners' blur, mm, and boost; deviation of a slice's profile over the slices' distance, and the least, mm:
-# a box has 0.29, helical scans more. Deviations of the logarithm of the blur, of the boost, and of the
-# logarithm of the blur across slices; and the same where balls in the scan show them.
-EXPECTED_SDS = (0.3, 1.0, 0.5)  # of log blur, boost, log blur across
-BALL_SDS = (0.04, 0.15, 0.08)  # the same
-# Ranges of blur, boost and blur across slices that scanners have, mm.
-LOWEST = np.array([np.log(MM.BLURS[0]), PART.BOOSTS[0], np.log(MM.SLICE_BLURS[0])])
-HIGHEST = np.array([np.log(MM.BLURS[1]), PART.BOOSTS[1], np.log(MM.SLICE_BLURS[1])])
+_PARTS = (SCANNER.BLUR, SCANNER.BOOST, SCANNER.SLICE_BLUR)
+EXPECTED_SDS = tuple(part.sd for part in _PARTS)  # of log blur, boost, log blur across
+BALL_SDS = (0.04, 0.15, 0.08)  # the same where balls in the scan show them
+# Ranges of these parameters
+LOWEST, HIGHEST = np.array([part.range for part in _PARTS]).T
+LOWEST[::2], HIGHEST[::2] = np.log([LOWEST[::2], HIGHEST[::2]])
 Reals = NDArray[np.floating[Any]]  # of single precision where the frequencies are
 
 
@@ -38,7 +36,7 @@ class PointSpread:
     boost: float
     slice_blur: float
     # Standard deviations of `parameters`.
-    sds: tuple[float, float, float] = EXPECTED_SDS
+    sds: tuple[float, ...] = EXPECTED_SDS
 
     @property
     def parameters(self) -> Floats:
@@ -69,8 +67,8 @@ def read_spread(parameters: Floats) -> PointSpread:
 
 def expected_spread(slice_distance: float) -> PointSpread:
     """Return what one expects of a scanner whose slices are `slice_distance` mm apart."""
-    slice_blur = max(PART.SLICE_BLUR * slice_distance, MM.LEAST_SLICE_BLUR)
-    return PointSpread(MM.BLUR, PART.BOOST, slice_blur)
+    slice_blur = max(SCANNER.SLICE_BLUR.value * slice_distance, MM.LEAST_SLICE_BLUR)
+    return PointSpread(SCANNER.BLUR.value, SCANNER.BOOST.value, slice_blur)
 
 
 def average_spreads(spreads: Sequence[PointSpread]) -> PointSpread | None:

@@ -46,7 +46,7 @@ from needlefit.imaging.markers import (
 )
 from needlefit.imaging.materials import find_rises, list_materials, sample_profile
 from needlefit.imaging.needle.centerline import Centerline, refuse_fold, trace_needle
-from needlefit.imaging.needle.follow import follow_points, read_mask_points, select_rod
+from needlefit.imaging.needle.follow import follow_points, read_mask_points, select_axis_voxels
 from needlefit.imaging.needle.segmentation import (
     Component,
     NeedleSelection,
@@ -376,12 +376,12 @@ class VolumeSearch:
 
 
 def estimate_first_contact(
-    found: Examination, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
+    found: Examination, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
 ) -> tuple[EntryPose, EntryPose | None]:
     """Return the entry pose, and the pose of the shaft outside the tissue where it is visible."""
-    world, rules, stage = found.world, recipe.entry, None
+    scan, world, rules, stage = found.scan, found.world, recipe.entry, None
     if scan.stage is None:
-        at, along_sd = _locate_tissue(found, scan, surfaces, recipe)
+        at, along_sd = _locate_tissue(found, surfaces, recipe)
     else:
         (here,) = found.patient.to_local(scan.stage.entry[None])
         stage = pose_from_stage(scan.stage, found.registration, here)
@@ -407,14 +407,14 @@ def estimate_first_contact(
 
 
 def _locate_tissue(
-    found: Examination, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
+    found: Examination, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
 ) -> tuple[float, float]:
     """Return where along the whole needle the tissue begins, and how sure that is, mm.
 
     A first contact placed by hand says it, else the tissue's own surface where there is one, else the
     change of brightness around the needle.
     """
-    contact = None if scan.corrections is None else scan.corrections.entry
+    contact = (found.scan.corrections or Corrections()).entry
     if contact is not None:
         points = found.axis.points
         s = arc_length(points)
@@ -437,7 +437,7 @@ def _locate_tissue(
     if len(own):
         return float(own.min()), recipe.layers.surface_sd_mm
     length = float(arc_length(found.world)[-1])
-    entry = choose_entry(found.brightness, length, recipe.guide.thickness_mm, scan.guide_distance)
+    entry = choose_entry(found.brightness, length, recipe.guide.thickness_mm, found.scan.guide_distance)
     if entry is None:
         raise DataError(
             "the scan does not show where the needle enters the tissue",
@@ -467,7 +467,7 @@ def derive_reconstruction(
     scan = found.scan
     surfaces = read_layers(scan, found.patient, grid)
     refuse_tunnels(surfaces, found.world)
-    pose, shaft = estimate_first_contact(found, scan, surfaces, recipe)
+    pose, shaft = estimate_first_contact(found, surfaces, recipe)
     begin = find_entry_arc_length(found.world, pose)
     along = arc_length(found.world)
     if along[-1] - begin < MIN_DEPTH_MM:
@@ -534,11 +534,6 @@ def derive_reconstruction(
     return replace(one, warnings=(*collect_warnings(one, doubts), *notes))
 
 
-def add_views(one: Reconstruction, volume: Volume) -> Reconstruction:
-    """Return a reconstruction with the pictures of its quality page."""
-    return replace(one, views=render_views(volume, one.patient, one.frame, one.needle_axis.points))
-
-
 def picture_curve(volume: Volume, curve: Floats, entries: Floats) -> CurvePicture:
     """Return pictures of a scan that was refused along a curve (N, 3), LPS, mm, with the `entries` (M, 3)."""
     center, axes = principal_axes(curve)
@@ -583,7 +578,7 @@ def examine(
             found.selection = select_needle(volume, recipe, scan.needle_at, search.tubes)
         else:
             axis = follow_points(volume, points, recipe)
-            found.selection = NeedleSelection(select_rod(volume, axis, recipe), axis=axis)
+            found.selection = NeedleSelection(select_axis_voxels(volume, axis), axis=axis)
     selection = found.selection
     with found.step("markers"):
         voxels = None if selection is None else selection.needle.voxels

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from scipy.special import j0, ndtr
 
 from needlefit.arrays import Floats, Ints
-from needlefit.imaging.constants import MM, PART, SD
+from needlefit.imaging.constants import MM, PART, SCANNER, SD
 from needlefit.imaging.point_spread import (
     HIGHEST,
     LOWEST,
@@ -36,7 +36,7 @@ MAX_FREQUENCY_SD = 4.5  # angular frequencies beyond so many over a blur are lef
 
 def _list_frequencies() -> tuple[Floats, Floats]:
     """Return the middles of the steps of frequency in the slices, and across them, 1/mm."""
-    ends = [MAX_FREQUENCY_SD / blur for blur in (MM.BLURS[0], MM.SLICE_BLURS[0])]
+    ends = [MAX_FREQUENCY_SD / blur for blur in (SCANNER.BLUR.range[0], SCANNER.SLICE_BLUR.range[0])]
     across, along = (np.arange(0.5, end / FREQUENCY_STEP_PER_MM) * FREQUENCY_STEP_PER_MM for end in ends)
     return across, along
 
@@ -120,7 +120,7 @@ FIRST_NOISE_PART = 0.05  # noise before it is known, in parts of the ball's brig
 # Bounds and typical changes of the model's parameters.
 _RANGES = (
     *3 * [(-np.inf, np.inf, 0.2)],
-    (np.log(10.0), np.log(1e5), 0.3),
+    (*np.log(SCANNER.BALL.range), 0.3),
     *zip(LOWEST, HIGHEST, (0.2, 0.5, 0.3), strict=True),
     (-5e3, 1e4, 100.0),
     (0.0, 3e3, 100.0),
@@ -129,7 +129,6 @@ _RANGES = (
 )
 LOWER_BOUNDS, UPPER_BOUNDS, PARAMETER_SCALES = np.array(list(zip(*_RANGES, strict=True)))
 PRIOR_COLUMNS = [HEIGHT, *range(4, 7)]
-HEIGHT_SD = 1.0  # deviation of the logarithm of HU: metal and glass lie between 2 000 and 50 000
 
 
 @dataclass(frozen=True)
@@ -222,7 +221,10 @@ def _guess_parameters(near: SphereVoxels) -> Floats:
 def _list_prior(near: SphereVoxels) -> tuple[Floats, Floats]:
     """Return means and deviations of the parameters of which something is known before."""
     spread = expected_spread(float(near.spacing[2]))
-    return np.array([np.log(1e4), *spread.parameters]), np.array([HEIGHT_SD, *spread.sds])
+    return (
+        np.array([np.log(SCANNER.BALL.value), *spread.parameters]),
+        np.array([SCANNER.BALL.sd, *spread.sds]),
+    )
 
 
 def _minimize(near: SphereVoxels, first: Floats, noise: float) -> OptimizeResult:

@@ -165,8 +165,10 @@ def refine_axis(
         where = axis_frames(axis, s[valid])
         across, amplitude = find_centroids(values[valid], plane, recipe.needle.diameter_mm)
         good = np.linalg.norm(across, axis=1) < recipe.needle.diameter_mm / (1 if round_ == 0 else 2)
-        level = np.median(amplitude) if len(amplitude) else np.inf
-        good &= amplitude > min(PART.FAINT * level, HU.METAL_CONTRAST / 2)
+        faint = PART.FAINT * np.median(amplitude) if len(amplitude) else np.inf
+        if recipe.guide.thickness_mm:  # as bright as the needle, it leaves little of its contrast
+            faint = min(faint, HU.METAL_CONTRAST / 2)
+        good &= amplitude > faint
         if good.sum() < FEWEST:
             raise DataError(
                 f"the needle shows in {good.sum()} cross-sections only",

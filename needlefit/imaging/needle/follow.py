@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from needlefit.arrays import Floats, Ints
+from needlefit.arrays import Floats
 from needlefit.errors import DataError, located
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.constants import HU, MM, PART
@@ -47,12 +47,7 @@ def read_mask_points(volume: Volume, path: Path) -> Floats:
                 expected="the needle's voxels above 0, all others 0",
                 fix="segment the needle in this scan, and save the segmentation as NRRD or NIfTI",
             )
-        center, axes = principal_axes(marked)
-        piece = np.floor((marked - center) @ axes[0] / (2 * STEP_MM)).astype(np.int64)
-        piece -= piece.min()
-        count = np.bincount(piece)
-        sums = np.stack([np.bincount(piece, axis) for axis in marked.T], axis=1)
-        return sums[count > 0] / count[count > 0, None]
+        return _average_pieces(marked, np.ones(len(marked)))
 
 
 def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> AxisSpline:
@@ -77,12 +72,17 @@ def follow_tube(volume: Volume, tube: Component, recipe: ReconstructionRecord) -
     i, j, k = tube.voxels.T
     bright = volume.values[k, j, i].astype(np.float64)
     bright -= bright.min() - 1.0
+    return _follow(volume, _average_pieces(points, bright), recipe)
+
+
+def _average_pieces(points: Floats, weights: Floats) -> Floats:
+    """Return the weighted means (M, 3) of points (N, 3) in pieces of `2 * STEP_MM` along their main axis."""
     center, axes = principal_axes(points)
     along = (points - center) @ axes[0]
     piece = np.floor((along - along.min()) / (2 * STEP_MM)).astype(int)
-    mass = np.bincount(piece, bright)
-    moments = np.stack([np.bincount(piece, bright * axis) for axis in points.T], axis=1)
-    return _follow(volume, moments[mass > 0] / mass[mass > 0, None], recipe)
+    mass = np.bincount(piece, weights)
+    moments = np.stack([np.bincount(piece, weights * axis) for axis in points.T], axis=1)
+    return moments[mass > 0] / mass[mass > 0, None]
 
 
 def _follow(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> AxisSpline:
@@ -90,7 +90,7 @@ def _follow(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> Axi
     count = max(2, round(float(s[-1]) / STEP_MM) + 1)
     places = PchipInterpolator(s, points)(np.linspace(0.0, s[-1], count))
     for _ in range(ROUNDS):  # to the needle's middle; where it is faint they stay
-        shifts, amplitude = _look_across(volume, places, recipe)
+        shifts, amplitude, _ = _look_across(volume, places, recipe)
         shown = amplitude > PART.FAINT * np.median(amplitude)
         places = places + np.where(shown[:, None], shifts, 0.0)
     level = float(np.median(amplitude))
@@ -109,42 +109,44 @@ def _follow(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> Axi
     return fit_axis(s, whole, np.ones(len(whole)), 2 * MM.KNOT)
 
 
-def select_rod(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> Component:
-    """Return the voxels within a needle's diameter of an axis."""
-    step, reach = float(volume.spacing.min()) / 2, recipe.needle.diameter_mm
-    side = np.arange(-reach, reach + step, step)
-    ball = np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 3)
-    ball = ball[np.linalg.norm(ball, axis=1) <= reach]
-    middle = axis.spline(np.arange(0.0, axis.length, reach / 2))
-    return measure_component(volume, _voxels(volume, (middle[:, None] + ball).reshape(-1, 3)))
+def select_axis_voxels(volume: Volume, axis: AxisSpline) -> Component:
+    """Return the voxels on an axis: what hangs together with one of them is the needle."""
+    middle = axis.spline(np.arange(0.0, axis.length, float(volume.spacing.min()) / 2))
+    index = np.unique(np.rint(to_index(volume, middle)).astype(np.int64), axis=0)
+    inside = ((index >= 0) & (index < np.array(volume.grid.size))).all(axis=1)
+    return measure_component(volume, index[inside])
 
 
-def _voxels(volume: Volume, points: Floats) -> Ints:
-    index = np.unique(np.rint(to_index(volume, points)).astype(np.int64), axis=0)
-    return index[((index >= 0) & (index < np.array(volume.grid.size))).all(axis=1)]
-
-
-def _look_across(volume: Volume, places: Floats, recipe: ReconstructionRecord) -> tuple[Floats, Floats]:
-    """Return by how much the needle lies beside places (N, 3), mm, and its amplitude (N,), HU."""
+def _look_across(
+    volume: Volume, places: Floats, recipe: ReconstructionRecord
+) -> tuple[Floats, Floats, Floats]:
+    """Return by how much the needle lies beside places (N, 3), mm, amplitude and surroundings, HU."""
     where = frames_along(places)
     plane = disc_points(MM.PATCH)
     values = sample_planes(volume, where, plane)
     inside = ~np.isnan(values.sum(axis=1))
-    across, amplitude = find_centroids(np.nan_to_num(values), plane, recipe.needle.diameter_mm)
+    values = np.nan_to_num(values)
+    across, amplitude = find_centroids(values, plane, recipe.needle.diameter_mm)
+    around = np.median(values[:, np.hypot(*plane.T) > MM.RIM], axis=1)
     shifts = across[:, :1] * where.u + across[:, 1:] * where.v
-    return np.where(inside[:, None], shifts, 0.0), np.where(inside, amplitude, 0.0)
+    return np.where(inside[:, None], shifts, 0.0), np.where(inside, amplitude, 0.0), around
 
 
 def _extend(volume: Volume, places: Floats, level: float, recipe: ReconstructionRecord) -> Iterator[Floats]:
-    """Yield the places of the needle beyond the last of `places` (N, 3), until it is faint or ends."""
-    known, faint = list(places[-round(2 * MM.KNOT / STEP_MM) :]), 0.0
-    while faint <= MM.EDGE_BLUR:
+    """Yield the places of the needle beyond the last of `places` (N, 3), until it is faint or ends.
+
+    A guide of metal that is stated may hide it.
+    """
+    known, faint, hidden = list(places[-round(2 * MM.KNOT / STEP_MM) :]), 0.0, 0.0
+    thickness = recipe.guide.thickness_mm or 0.0
+    longest = thickness + 2 * MM.BEYOND_END if thickness else 0.0
+    while faint <= MM.EDGE_BLUR and hidden <= longest:
         recent = np.array(known[-round(2 * MM.KNOT / STEP_MM) :])
         way = np.linalg.svd(recent - recent.mean(axis=0), full_matrices=False)[2][0]
         way *= np.sign(way @ (recent[-1] - recent[0]))
         start = recent.mean(axis=0) + way * ((recent[-1] - recent.mean(axis=0)) @ way)
-        here = start + way * (STEP_MM + faint)
-        shifts, amplitude = _look_across(volume, np.stack([here - way, here, here + way]), recipe)
+        here = start + way * (STEP_MM + faint + hidden)
+        shifts, amplitude, around = _look_across(volume, np.stack([here - way, here, here + way]), recipe)
         beside = float(np.linalg.norm(shifts[1]))
         if (
             amplitude[1] > min(PART.FAINT * level, HU.METAL_CONTRAST / 2)
@@ -152,6 +154,8 @@ def _extend(volume: Volume, places: Floats, level: float, recipe: Reconstruction
         ):
             known.append(here + shifts[1])
             yield known[-1]
-            faint = 0.0
+            faint = hidden = 0.0
+        elif thickness and around[1] > HU.METAL:
+            hidden += STEP_MM
         else:
             faint += STEP_MM

@@ -22,7 +22,7 @@ from scipy.sparse import csr_array
 from needlefit.arrays import Bools, Floats
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
-from needlefit.imaging.constants import MM, PART, SD
+from needlefit.imaging.constants import MM, PART, SCANNER, SD
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
 from needlefit.imaging.needle.follow import STEP_MM
 from needlefit.imaging.needle.hub import Hub, find_hub
@@ -39,12 +39,9 @@ REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices
 KNOT_FACTOR = 1.6  # distance of the knots over that of the axis
 # A needle between supports is a beam: the third derivative of its axis is the shear force over its stiffness.
 SHEAR_SD_MM2 = 4e-5  # mm2, deviation of the shear force over Young's modulus: 8 N in steel
-# What the beam does: logarithms of the attenuation, 1/mm, of its relative variance over the spectrum, of the
-# scatter in parts of the open beam, and of a factor by which the slices are more linear than a scanner's.
-# Means and deviations. Then follow the blur's logarithm and the boost, and logarithms of the sensitivity of
-# planes of a slice over that of its middle; both as the point spread has them.
-BEAM_MEANS = np.array([np.log(0.75), np.log(0.3), np.log(0.012), 0])
-BEAM_SDS = np.array([0.25, 0.35, 0.6, 0.3])  # of the same
+# What the beam does, by logarithms. Then follow the blur's logarithm and the boost, and logarithms of the
+# sensitivity of planes of a slice over that of its middle; both as the point spread has them.
+BEAM = (SCANNER.ATTENUATION, SCANNER.HARDENING, SCANNER.SCATTER, SCANNER.LINEARITY)
 PROFILE_SDS = (0.4, 0.4, 0.5, 1.0, 1.5)  # of the logarithms of the sensitivity
 TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
@@ -210,8 +207,8 @@ class _SliceProblem:
         expected = spread or expected_spread(thick)
         profile = np.log(expected.weigh_planes(SENSITIVITY_AT[1:] * thick))
         # what is known of the parameters of the scan (11,), and its deviations
-        self.means = np.concatenate([BEAM_MEANS, expected.parameters[:2], profile])
-        self.sds = np.concatenate([BEAM_SDS, expected.sds[:2], PROFILE_SDS])
+        self.means = np.concatenate([np.log([part.value for part in BEAM]), expected.parameters[:2], profile])
+        self.sds = np.concatenate([[part.sd for part in BEAM], expected.sds[:2], PROFILE_SDS])
 
     def split(self, theta: Floats) -> list[Floats]:
         """Return the parameters of each kind."""

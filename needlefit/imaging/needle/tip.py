@@ -28,7 +28,7 @@ from scipy.spatial import cKDTree
 from scipy.special import erf
 
 from needlefit.arrays import Floats
-from needlefit.imaging.constants import HU, MM, PART, SD
+from needlefit.imaging.constants import HU, MM, PART, SCANNER, SD
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd
 from needlefit.imaging.needle.rod_projection import CELL_MM, WATER_PER_MM
 from needlefit.imaging.point_spread import (
@@ -123,9 +123,8 @@ DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
 ROLL_FACTOR = 3.0  # of the roll's deviation: artefacts near the tip
 ROLL_SD = 0.15  # of the roll, rad, that no residual shows
-HEIGHT_SD = 0.7  # deviation of the logarithm of the metal's brightness
 LOWER_BOUNDS = np.array([*5 * [-np.inf], -1100, 0, *LOWEST, -HU.CLIPPED])
-UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(5e4), 1000, 6, *HIGHEST, HU.CLIPPED])
+UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(SCANNER.METAL.range[1]), 1000, 6, *HIGHEST, HU.CLIPPED])
 # Bounds and typical changes of the parameters. No metal of needles exceeds 50 000 HU.
 PARAMETER_SCALES = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50, 0.3, 0.1, 0.3, 0.2, 100])
 HELD = [U, V, HEIGHT, COT, *range(7, 10), STREAK]  # parameters of which something is known before
@@ -186,8 +185,8 @@ class TipProblem:
         cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) / np.hypot(1.0, ray / MM.DARK)
         expected = spread or expected_spread(volume.grid.slice_distance)
         # means and deviations of the parameters `HELD`
-        self.means = np.array([0.0, 0.0, np.log(HU.NEEDLE), cot, *expected.parameters, 0.0])
-        self.sds = np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *expected.sds, HU.METAL])
+        self.means = np.array([0.0, 0.0, np.log(SCANNER.METAL.value), cot, *expected.parameters, 0.0])
+        self.sds = np.array([swing_sd, swing_sd, SCANNER.METAL.sd, cot_sd, *expected.sds, HU.METAL])
         # beyond what is known before artefacts would be taken for the needle's image
         self.low, self.high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
         self.low[TIP], self.high[TIP] = guess - MM.BEYOND_END, guess + MM.BEYOND_END
@@ -198,7 +197,7 @@ class TipProblem:
         if beyond.size >= 20:
             noise = max(10.0, 1.48 * float(np.median(np.abs(beyond - np.median(beyond)))))
         error = PART.SIGNAL_ERROR * np.clip(self.values - self.level, 0, None)
-        self.sigma = np.sqrt(1 + (away / (2 * MM.BLUR)) ** 4) * np.hypot(noise, error)
+        self.sigma = np.sqrt(1 + (away / (2 * SCANNER.BLUR.value)) ** 4) * np.hypot(noise, error)
 
     def place(self, theta: Floats) -> Floats:
         """Return where the voxels lie from the tip (3, N): along the axis, and across it, mm."""
