@@ -4,7 +4,6 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
-from shutil import which
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +11,7 @@ import pandas as pd
 import pytest
 from reporting_results import stereo, study, with_predictions
 from test_judge import with_tip_errors
+from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 from world import COMMANDS
 
 from needlefit.cli.execution import show_run
@@ -35,7 +35,7 @@ from needlefit.studies.report import (
 from needlefit.studies.run import Run
 
 PROJECT = Path(__file__).parents[1]
-BROWSER = which("chromium") or which("google-chrome")
+
 TERMINAL = SimpleNamespace(explain=False, noted=(), warned=False, json=False)
 KINDS = ("point_outlier", "noise_too_large", "validity", "predictive_median", "placeholder")
 
@@ -84,7 +84,7 @@ def check_agreement(results):
     return page
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(16))
 def test_title_table_checks_and_advice_agree(seed, tmp_path, capsys):
     results = make_finding(seed)
     page = check_agreement(results)
@@ -151,24 +151,20 @@ CUT = """() => [...document.querySelectorAll(".first .wide, body")].filter(
   (one) => one.scrollWidth > one.clientWidth + 1).length"""
 
 
-@pytest.mark.skipif(not BROWSER, reason="needs chromium")
-def test_a_combined_report_has_data_table_and_verdicts_and_cuts_nothing(world, tmp_path):
+@NO_BROWSER
+def test_a_combined_report_has_data_table_and_verdicts_and_cuts_nothing(world, chromium, tmp_path):  # noqa: F811
     results = world.restore("cross_validation")
     page = tmp_path / "report.html"
     page.write_bytes(compile_html(compose_overview([results], [lay_out_matrix([results])])))
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=BROWSER, args=["--no-sandbox", "--disable-gpu"])
-        for width in (320, 1280):
-            window = browser.new_page(viewport={"width": width, "height": 800})
-            window.goto(page.as_uri())
-            places = window.evaluate(PLACES)
-            assert places == sorted(places) and window.evaluate(CUT) == 0
-            window.emulate_media(media="print", color_scheme="dark")
-            paper = window.evaluate("getComputedStyle(document.body).backgroundColor")
-            assert min(map(int, re.findall(r"\d+", paper)[:3])) > 240  # printed light
-        browser.close()
+    for width in (320, 1280):
+        window = chromium.new_page(viewport={"width": width, "height": 800})
+        window.goto(page.as_uri())
+        places = window.evaluate(PLACES)
+        assert places == sorted(places) and window.evaluate(CUT) == 0
+        window.emulate_media(media="print", color_scheme="dark")
+        paper = window.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert min(map(int, re.findall(r"\d+", paper)[:3])) > 240  # printed light
+        window.close()
 
 
 @pytest.mark.parametrize("kind", list(COMMANDS))

@@ -268,9 +268,10 @@ def test_a_plan_from_first_contact_does_not_depend_on_the_roll_that_a_scene_stat
     steps = "\n[[steps]]\ndepth_mm = 20.0\n[[steps]]\ndepth_mm = 38.06\nroll_deg = 45.0\n"
     changed = text.replace("side = 1", "roll_deg = -30").replace("depth_mm = 38.06", "", 1)
     (tmp_path / "rolled.toml").write_text(changed + steps)
-    found = []
-    for name in ("phantom2", str(tmp_path / "rolled.toml")):
-        assert run_plan(f"{name} --target 40,1,4 --radius 0.5 --turns 0", tmp_path) == 0
+    x, y = tip_of(replace(insertion().now, depth=40.0))
+    line, found = f"--target {x},{0.6 * y},{0.8 * y} --radius 0.5 --base 0 --turns 0", []
+    for name in ("phantom2", tmp_path / "rolled.toml"):
+        assert run_plan(f"{name} {line}", tmp_path) == 0
         found.append(json.loads(capsys.readouterr().out))
     keys = ("reached", "steps", "turns_mm", "roll_deg", "nominal_miss_mm")
     assert [found[0][key] for key in keys] == [found[1][key] for key in keys] and found[0]["reached"]

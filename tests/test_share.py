@@ -100,13 +100,13 @@ def test_a_needle_in_the_address_is_shown_and_written_again(shared, chromium):  
 
 @NO_BROWSER
 def test_the_depth_is_dragged_along_the_page_of_a_plan(chromium, tmp_path, capsys):  # noqa: F811
-    assert run("plan phantom2 --target 45,2 --obstacle 25,0.4,0.8 --turns 1 --json --out", tmp_path) == 0
+    assert run("plan phantom2 --target 45,2 --obstacle 25,3,0.8 --turns 0 --json --out", tmp_path) == 0
     plan = json.loads(capsys.readouterr().out)
     with open_offline(chromium, Path(plan["page"])) as page:
         count, largest = page.evaluate(ALL_STATES)
         assert count >= 45 and largest == 0
         assert page.evaluate("needlefit.scene.plan.target") == [45.0, 2.0]
-        assert page.evaluate("needlefit.scene.plan.obstacles[0].slice(0, 3)") == [25.0, 0.4, 0.8]
+        assert page.evaluate("needlefit.scene.plan.obstacles[0].slice(0, 3)") == [25.0, 3.0, 0.8]
         assert len(page.evaluate("needlefit.scene.plan.needles")) >= 1
         ends = page.evaluate("[needlefit.state.x.at(-1), needlefit.state.y.at(-1)]")
         for depth in (12.0, plan["steps"][-1]["depth_mm"]):
