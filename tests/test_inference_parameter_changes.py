@@ -61,18 +61,17 @@ def test_what_is_fixed_takes_exact_ties_with_it():
 
 
 @pytest.mark.parametrize(
-    ("free", "fix", "key", "fixed_by"),
+    ("free", "fix", "key"),
     [
-        (["alpha9"], {}, "free", "one of these"),
-        (["mu1_pa"], {}, "free", "bounds"),
-        ([], {"bevel_mm": -0.1}, "fix.bevel_mm", "fixed value"),
-        ([], {"alpha3": 1.0}, "fix", "one of these"),
-        (["alpha1"], {"alpha1": 1.0}, "free", "one of them"),
+        (["alpha9"], {}, "free"),
+        (["mu1_pa"], {}, "free"),
+        ([], {"bevel_mm": -0.1}, "fix.bevel_mm"),
+        ([], {"alpha3": 1.0}, "fix"),
+        (["alpha1"], {"alpha1": 1.0}, "free"),
     ],
 )
-def test_what_cannot_be_freed_or_fixed_is_refused(free, fix, key, fixed_by):
-    error = refusal(ConfigError, "", lambda: change_parameters(medium(), free, fix))
-    assert error.key == key and fixed_by in error.fix
+def test_what_cannot_be_freed_or_fixed_is_refused(free, fix, key):
+    assert refusal(ConfigError, "", change_parameters, medium(), free, fix).key == key
 
 
 def test_a_fit_states_names_as_they_are_printed_and_later_changes_take_their_place():

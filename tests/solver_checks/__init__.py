@@ -10,22 +10,9 @@ from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 STEP = 1e-30  #: of complex steps: nothing is subtracted, so that the derivative is exact to rounding
-
-
-def make_tissue(
-    mu,
-    alpha,
-    boundaries=(),
-    thickness=40.0,
-    friction=0.0,
-    law="ogden",
-):
-    """Return a tissue from plain numbers, thickness (mm) and friction the same in all layers."""
-    return Tissue(np.array(mu), np.array(alpha), np.array(boundaries), thickness, friction, law)
 
 
 def react(tissue, layer, e, slope):

@@ -23,7 +23,8 @@ from scipy.linalg import expm
 
 from needlefit.mechanics.control import Controls, Guide, TrackedTip
 from needlefit.mechanics.needle import Needle
-from solver_checks import NEEDLE, interpolate, make_tissue, sample_between
+from needlefit.mechanics.tissue import Tissue
+from solver_checks import NEEDLE, interpolate, sample_between
 
 EI, L = NEEDLE.flexural_rigidity, NEEDLE.length
 LOADED_MM = 90.0
@@ -42,7 +43,7 @@ def _find_error(shape, exact, start):
 def measure_loaded(prop=None, controls=Controls()):
     """Return the largest error over the largest deflection; `prop` is its distance from the base, mm."""
     # linear law: the force is 3 mu e, and e is FAR almost everywhere
-    tissue = make_tissue([LOAD / FAR / 3], [1.0], thickness=1e3 * FAR, law="linear")
+    tissue = Tissue([LOAD / FAR / 3], [1.0], thickness=1e3 * FAR, law="linear")
     depths = np.arange(LOADED_MM + 0.5)
     points = np.column_stack((depths, np.full(len(depths), FAR), np.zeros(len(depths))))
 
@@ -103,7 +104,7 @@ def _measure_inserted(
     controls,
     exact,
 ):
-    tissue = make_tissue([one / 3 for one in k], [1.0] * len(k), interfaces, law="linear")
+    tissue = Tissue([one / 3 for one in k], [1.0] * len(k), interfaces, law="linear")
     depths = np.arange(depth + 0.5)
     points = np.outer(depths, [1.0, 0.0, 0.0])
     return _find_error(equilibrium(Needle(depth + FREE_MM, EI), tissue, points, controls), exact, 0.0)

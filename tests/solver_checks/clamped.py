@@ -21,7 +21,7 @@ from needlefit.mechanics.control import Controls, ModelOptions
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import pack_equilibrium
 from needlefit.mechanics.tissue import Tissue
-from solver_checks import make_tissue, react, sample_between
+from solver_checks import react, sample_between
 
 
 @dataclass(frozen=True)
@@ -121,14 +121,14 @@ def measure_orders(tissue, first_cell=1.0):
 
 
 _PAIR, _THIN = ([0.5, 5.0], [1.0, 1.0]), ([0.5, 3.0], [8.0, -6.0], [BOUNDARY_MM])
-_ROUGH = make_tissue(*_THIN, thickness=2.0, friction=50.0)  # so strong that the small slopes show it
+_ROUGH = Tissue(*_THIN, thickness=2.0, friction=50.0)  # so strong that the small slopes show it
 #: tissue, and the first cell in elements
 MANUFACTURED = {
-    "one layer, linear": (make_tissue([1.0], [1.0], law="linear"), 1.0),
-    "interface on a node, linear": (make_tissue(*_PAIR, [16.0], law="linear"), 1.0),
-    "interface inside elements, linear": (make_tissue(*_PAIR, [BOUNDARY_MM], law="linear"), 1.0),
-    "neo-Hookean, thin": (make_tissue([0.5, 3.0], [1.0, 1.0], [BOUNDARY_MM], 2.0, law="neo_hookean"), 1.0),
-    "Ogden, thin": (make_tissue(*_THIN, thickness=2.0), 1.0),
+    "one layer, linear": (Tissue([1.0], [1.0], law="linear"), 1.0),
+    "interface on a node, linear": (Tissue(*_PAIR, [16.0], law="linear"), 1.0),
+    "interface inside elements, linear": (Tissue(*_PAIR, [BOUNDARY_MM], law="linear"), 1.0),
+    "neo-Hookean, thin": (Tissue([0.5, 3.0], [1.0, 1.0], [BOUNDARY_MM], 2.0, law="neo_hookean"), 1.0),
+    "Ogden, thin": (Tissue(*_THIN, thickness=2.0), 1.0),
     "friction": (_ROUGH, 1.0),
     "friction, first cell too short for a node at the entry": (_ROUGH, 0.4),
 }

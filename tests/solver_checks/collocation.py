@@ -13,7 +13,8 @@ from scipy.integrate import solve_bvp
 
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.simulate import simulate_steps
-from solver_checks import NEEDLE, STEP, interpolate, make_tissue, react
+from needlefit.mechanics.tissue import Tissue
+from solver_checks import NEEDLE, STEP, interpolate, react
 
 UNIT = 10.0  # mm: derivatives of order n are kept in mm per (10 mm)^n, to be alike in size
 AT = np.linspace(0.0, 1.0, 9)
@@ -118,26 +119,26 @@ def measure_difference(tissue, steps):
 
 COLLOCATED = {
     "four layers of the paper's values": (
-        make_tissue([0.2, 33.0, 0.2, 33.0], [1.0, -1.0, 1.0, -1.0], [12.2, 18.7, 29.4]),
+        Tissue([0.2, 33.0, 0.2, 33.0], [1.0, -1.0, 1.0, -1.0], [12.2, 18.7, 29.4]),
         (Step(35.3, Bevel(0.085)),),
     ),
     "thin tissue, alpha = -10, base moved aside": (
-        make_tissue([0.2, 2.0], [-10.0, -10.0], [9.6], 5.0),
+        Tissue([0.2, 2.0], [-10.0, -10.0], [9.6], 5.0),
         (Step(25.0, Bevel(0.25), Controls(base_y=2.0)),),
     ),
     "thin tissue, alpha = 10, bevel turned over, free guide": (
-        make_tissue([0.3, 1.0], [10.0, 10.0], [11.5], 5.0),
+        Tissue([0.3, 1.0], [10.0, 10.0], [11.5], 5.0),
         (
             Step(14.5, Bevel(0.3)),
             Step(30.0, Bevel(0.3, -1), Controls(base_y=1.0, guides=(Guide(-15.0, 0.5, None),))),
         ),
     ),
     "neo-Hookean, base moved aside": (
-        make_tissue([0.4, 4.0], [-7.0, 9.0], [10.4], 5.0, law="neo_hookean"),
+        Tissue([0.4, 4.0], [-7.0, 9.0], [10.4], 5.0, law="neo_hookean"),
         (Step(26.7, Bevel(0.2), Controls(base_y=2.0)),),
     ),
     "friction, base tilted after 15 mm": (
-        make_tissue([0.5, 5.0], [3.0, -4.0], [13.3], 10.0, 2.0),
+        Tissue([0.5, 5.0], [3.0, -4.0], [13.3], 10.0, 2.0),
         (Step(15.0, Bevel(0.2)), Step(28.4, Bevel(0.2), Controls(base_slope=0.1))),
     ),
 }

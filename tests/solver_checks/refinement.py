@@ -7,10 +7,11 @@ from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import MAX_SLOPE
 from needlefit.mechanics.simulate import simulate, simulate_steps
+from needlefit.mechanics.tissue import Tissue
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
-from solver_checks import NEEDLE, make_tissue
+from solver_checks import NEEDLE
 
 # ---- elements
 
@@ -49,11 +50,11 @@ SPACINGS_MM = (2.0, 1.0, 0.5, 0.25)
 FINEST_MM = 0.0625
 #: tissue, and how far the tip may be from its limit at 1 mm, as a fraction
 ADVANCED = {
-    "uniform, k = 0.66 MPa": (make_tissue([0.22], [1.0]), 0.001),
-    "uniform, k = 96 MPa": (make_tissue([32.0], [1.0]), 0.005),
-    "k = 0.66 MPa, from 25 mm on 6.6 MPa": (make_tissue([0.22, 2.2], [1.0, 1.0], [25.0]), 0.005),
+    "uniform, k = 0.66 MPa": (Tissue([0.22], [1.0]), 0.001),
+    "uniform, k = 96 MPa": (Tissue([32.0], [1.0]), 0.005),
+    "k = 0.66 MPa, from 25 mm on 6.6 MPa": (Tissue([0.22, 2.2], [1.0, 1.0], [25.0]), 0.005),
 }
-PHANTOM2 = make_tissue([0.2, 33.0, 0.2, 33.0], [1.0, -1.0, 1.0, -1.0], [20.0, 28.0, 45.0])
+PHANTOM2 = Tissue([0.2, 33.0, 0.2, 33.0], [1.0, -1.0, 1.0, -1.0], [20.0, 28.0, 45.0])
 
 
 def find_advanced_tip(tissue, spacing, depth=DEPTH_MM):
