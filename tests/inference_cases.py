@@ -15,7 +15,7 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.inference.parameter_names import is_shape_parameter
-from needlefit.inference.parameters import Parameters, without_bevel_spread
+from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
@@ -202,10 +202,3 @@ class Squares(NothingHeld):
 
 def box(function, dimensions=2, half=2.0):
     return Analytic(function, np.full(dimensions, -half), np.full(dimensions, half))
-
-
-def with_one_bevel(job):
-    """Return the job with a bevel offset that is the same in all insertions."""
-    likelihood = job.recipe.likelihood.model_copy(update={"bevel_spread": 0.0})
-    recipe = job.recipe.model_copy(update={"likelihood": likelihood})
-    return replace(job, recipe=recipe, parameters=without_bevel_spread(job.parameters))

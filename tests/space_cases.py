@@ -13,11 +13,10 @@ def random_spatial_case(rng, kind="decided", count=5, deepest=11.0):
     return needle, tissue, leave_plane(rng, steps), rules, lattice
 
 
-def leave_plane(rng, steps, unit_deg=0.01):
-    """Return steps whose bevels roll by multiples of `unit_deg`, and whose other inputs leave z = 0."""
+def leave_plane(rng, steps):
+    """Return steps whose bevels roll by hundredths of a degree, and whose other inputs leave z = 0."""
     bevels = {
-        one: replace(one, roll_deg=unit_deg * round(rng.uniform(-200, 200) / unit_deg))
-        for one in {s.bevel: 0 for s in steps}
+        one: replace(one, roll_deg=round(rng.uniform(-200, 200), 2)) for one in {s.bevel: 0 for s in steps}
     }
     held = {one: _move_out(rng, one) for one in {s.controls: 0 for s in steps}}
     return tuple(Step(s.depth, bevels[s.bevel], held[s.controls]) for s in steps)

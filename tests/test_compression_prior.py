@@ -30,15 +30,14 @@ def load_specimen(alpha, low, noise, seed=1, kind="nominal"):
     return x, y + noise * np.max(np.abs(y)) * np.random.default_rng(seed).normal(size=len(x))
 
 
-def write_test(path, low=0.8):
+def write_test(path):
     """Write three specimens, stresses positive in compression, each with an unloading after it."""
     parts = []
     for number, alpha in enumerate((-4.0, -5.0, -4.5)):
-        x, y = load_specimen(alpha, low, 0.002, number)
+        x, y = load_specimen(alpha, 0.8, 0.002, number)
         rows = pd.DataFrame({"sample": f"gel{number}", "stretch": x, "nominal_stress_kpa": -y})
         parts += [rows, rows[::-1].assign(nominal_stress_kpa=0.0)[1:]]
     pd.concat(parts).to_csv(path, index=False)
-    return path
 
 
 @pytest.mark.parametrize("alpha", [-20.0, -4.7, 0.3, 9.0])

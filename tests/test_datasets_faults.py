@@ -105,12 +105,8 @@ def add_columns(name, **columns):
     return change
 
 
-def respell_delimiter(sign):
-    def change(folder):
-        path = folder / B
-        path.write_text(path.read_text().replace(".", ",").replace(",", sign))
-
-    return change
+def use_semicolons(folder):
+    (folder / B).write_text((folder / B).read_text().replace(".", ";").replace(",", ";"))
 
 
 def blank_lines(folder):
@@ -175,7 +171,7 @@ FAULTS = [
     (f"{B}:10", blank_lines),
     # files
     *((name, delete(name)) for name in (B, TOML)),
-    (f"{B}:1", respell_delimiter(";")),
+    (f"{B}:1", use_semicolons),
     *((B, content(B, b"x_mm,y_mm,z_mm\n" + data)) for data in (b"", b"1,2,3\n0,5,1,5,0,5\n", b"\xff\xfe")),
     # surfaces
     (CORE, mesh(CORE, lambda one: one.update_faces(np.arange(len(one.faces)) > 3))),

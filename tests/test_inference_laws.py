@@ -23,12 +23,12 @@ SHAPE = {
 NEEDLES = ((34.3, 1), (41.0, -1))
 
 
-def make_case(law, thickness=3.0, **stated):
-    """Two layers, met twice, so thin that the law matters; what is not stated of the shape is free."""
+def make_case(law):
+    """Two layers, met twice, so thin that the law matters; the shape is free."""
     truth = {"mu1_pa": 3e5, "mu2_pa": 2e6, **SHAPE[law], "bevel_mm": 0.08}
-    table = {"mu1_pa": {"bounds": MU}, "mu2_pa": {"bounds": MU}, "bevel_mm": {"bounds": BEVEL}, **stated}
+    table = {"mu1_pa": {"bounds": MU}, "mu2_pa": {"bounds": MU}, "bevel_mm": {"bounds": BEVEL}}
     record = MediumRecord.model_validate(
-        {"schema": 1, "layers": 2, "law": law, "thickness_mm": thickness, "parameters": table}
+        {"schema": 1, "layers": 2, "law": law, "thickness_mm": 3.0, "parameters": table}
     )
     layers = {"boundaries": (9.0, 17.0, 26.0), "sequence": (1, 2, 1, 2)}
     made = [measure(truth, record, insertion(d, **layers, side=side)) for d, side in NEEDLES]

@@ -78,13 +78,16 @@ AT = np.array([1.3]), np.array([SPREAD])  # scale of the noise, and spread
 FLAT = replace(insertion(40.0, (12.0, 20.0), (1, 2, 3)), boundary_sd=0.15)
 
 
-def linear_case(seed, rows=6):
+ROWS = 6  #: residuals of an insertion
+
+
+def linear_case(seed):
     """Three insertions, two of one specimen: nodes, residuals at them, and what makes their covariance."""
     rng = default_rng(seed)
     insertions = [replace(FLAT, id=name, specimen=name[0]) for name in ("a1", "a2", "b1")]
     made = tuple(make_nodes(one, LINE, "linear", bevel=True, constants=1) for one in insertions)
-    first, slopes = rng.normal(size=(3, rows)), 0.4 * rng.normal(size=(3, rows, 2))
-    bevel, pose = rng.normal(size=(3, rows)), rng.normal(size=(3, rows))
+    first, slopes = rng.normal(size=(3, ROWS)), 0.4 * rng.normal(size=(3, ROWS, 2))
+    bevel, pose = rng.normal(size=(3, ROWS)), rng.normal(size=(3, ROWS))
     whites = [
         np.vstack(
             [
@@ -98,21 +101,21 @@ def linear_case(seed, rows=6):
     return made, whites, (first, slopes, bevel, pose)
 
 
-def exact_covariance(parts, scale, rows=6):
+def exact_covariance(parts, scale):
     """Of the residuals of all three insertions, with a shared part of 0.1 mm of 0.15 mm in the first two."""
     _, slopes, bevel, pose = parts
-    total = np.zeros((3, rows, 3, rows))
+    total = np.zeros((3, ROWS, 3, ROWS))
     for k in range(3):
         own = slopes[k] @ slopes[k].T + SPREAD**2 * np.outer(bevel[k], bevel[k]) + np.outer(pose[k], pose[k])
-        total[k, :, k] = scale**2 * np.eye(rows) + own
+        total[k, :, k] = scale**2 * np.eye(ROWS) + own
     total[0, :, 1] = (0.1 / 0.15) ** 2 * slopes[0] @ slopes[1].T
     total[1, :, 0] = total[0, :, 1].T
-    return total.reshape(3 * rows, 3 * rows)
+    return total.reshape(3 * ROWS, 3 * ROWS)
 
 
-def shared_case(bevels, centred, seed=7):
+def shared_case(bevels, centred):
     """The three insertions with the named bevels, which may sum to zero, and the exact covariance."""
-    made, whites, parts = linear_case(seed)
+    made, whites, parts = linear_case(7)
     made = tuple(one.share_bevel((name, 0)) for one, name in zip(made, bevels, strict=True))
     same = np.equal.outer(list(bevels), list(bevels)).astype(float)
     apart = same - centred / len(set(bevels)) - np.eye(3)  # what `exact_covariance` has is independent

@@ -29,11 +29,6 @@ BEGIN = weighted(GAUSSIAN, MEAN)
 SHORT = {"walkers": 16, "densities": 16 * 35 + 15, "independent_draws": 10**6}
 
 
-def assert_equal(one, other):
-    assert np.array_equal(one.draws, other.draws) and np.array_equal(one.log_posterior, other.log_posterior)
-    assert np.array_equal(one.acceptance_fraction, other.acceptance_fraction) and one.faults == other.faults
-
-
 # ---- when a run ends
 
 
@@ -125,9 +120,9 @@ except Exception as error:
 # ---- convergence of chains whose values are known
 
 
-def autoregressive(memory, steps=4000, walkers=16, seed=1):
-    """Return series (N, W) of unit variance whose autocorrelation is memory^t."""
-    noise = default_rng(seed).normal(size=(steps + 200, walkers))
+def autoregressive(memory, steps=4000):
+    """Return series (N, 16) of unit variance whose autocorrelation is memory^t."""
+    noise = default_rng(1).normal(size=(steps + 200, 16))
     return lfilter([math.sqrt(1 - memory**2)], [1, -memory], noise, axis=0)[200:]
 
 
@@ -211,8 +206,8 @@ def test_the_file_reads_back_equal_and_has_equal_bytes(tmp_path):
             save(posterior, tmp_path / name)
         assert (tmp_path / "one.nc").read_bytes() == (tmp_path / "two.nc").read_bytes()
         back = load(tmp_path / "one.nc")
-        assert_equal(back, posterior)
-        for name in ("r_hat", "autocorrelation_time"):
+        arrays = ("draws", "log_posterior", "acceptance_fraction", "r_hat", "autocorrelation_time")
+        for name in arrays:
             assert np.array_equal(getattr(back, name), getattr(posterior, name), equal_nan=True)
         for name in ("names", "wanted", "burn_in", "failures", "interrupted"):
             assert getattr(back, name) == getattr(posterior, name)

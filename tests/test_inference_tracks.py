@@ -111,16 +111,13 @@ def in_space(runs, errors=ROLLED):
 def test_runs_in_space_tell_more_and_the_truth(runs_in_space):
     recipe = RecipeRecord.model_validate({"schema": 1, "starts": 3})
     sds = []
-    for asked in (in_space(runs_in_space), replace(in_space(runs_in_space), dataset=in_plane(runs_in_space))):
+    both = in_space(runs_in_space)
+    for asked in (both, replace(both, dataset=replace(both.dataset, compared="plane"))):
         fit = minimize(asked, recipe, default_rng(1))
         _, slope = asked.jacobian(np.array(fit.theta))
         sds.append(np.sqrt(np.diag(np.linalg.inv(slope.T @ slope))))
         assert np.all(np.abs(np.array(fit.theta) - THETA) < 3.5 * sds[-1])
     assert np.all(sds[0] < 0.95 * sds[1])
-
-
-def in_plane(runs):
-    return replace(dataset(runs), noise=SESSION_NOISE)
 
 
 def test_a_needle_turned_as_a_whole_has_the_same_density(runs_in_space):

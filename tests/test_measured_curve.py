@@ -12,20 +12,17 @@ from needlefit.geometry.measured_curve import measure_curve
 LENGTH = 35.0
 
 
-def arc_points(s, bend, length=LENGTH):
+def arc_points(s, bend):
     """Points (N, 3) at arc lengths along a curve that turns by an angle, rad."""
-    return np.column_stack([integrate_curvature(length, [bend / length], s), np.zeros(len(s))])
-
-
-def measure_again(points, sd, rng, repeats):
-    return [measure_curve(points + sd * rng.normal(size=points.shape), sd) for _ in range(repeats)]
+    return np.column_stack([integrate_curvature(LENGTH, [bend / LENGTH], s), np.zeros(len(s))])
 
 
 @pytest.mark.parametrize(("spacing", "noise"), [(0.1, 0.05), (0.5, 0.1), (1.0, 0.2), (5.0, 0.1)])
 def test_the_length_is_right_whatever_spacing_and_noise(spacing, noise):
     rng = default_rng(7)
     s = np.linspace(0, LENGTH, round(LENGTH / spacing) + 1)
-    curves = measure_again(arc_points(s, 0.5), noise, rng, 6 if spacing == 0.1 else 40)
+    points, repeats = arc_points(s, 0.5), 6 if spacing == 0.1 else 40
+    curves = [measure_curve(points + noise * rng.normal(size=points.shape), noise) for _ in range(repeats)]
     lengths = np.array([one.length for one in curves])
     assert abs(lengths.mean() - LENGTH) < 0.1
     z = (lengths - LENGTH) / [one.length_sd for one in curves]
@@ -41,11 +38,11 @@ def test_curves_without_noise_have_the_length_of_the_arc(count, bend):
     assert curve.noise_sd < 2e-3
 
 
-def check_lengths(points, truth, noise, repeats=30, along=1.0):
+def check_lengths(points, truth, noise, along=1.0):
     """Measure points again and again: no bias beyond 0.1 mm, and errors as large as their SD, or smaller."""
     rng = default_rng(11)
     scale = noise * np.array([along, 1.0, 1.0])
-    curves = [measure_curve(points + scale * rng.normal(size=points.shape), noise) for _ in range(repeats)]
+    curves = [measure_curve(points + scale * rng.normal(size=points.shape), noise) for _ in range(30)]
     gaps = np.array([one.length - truth for one in curves])
     assert abs(gaps.mean()) < 0.1
     assert np.sqrt(np.mean((gaps / [one.length_sd for one in curves]) ** 2)) < 1.7

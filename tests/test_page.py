@@ -78,9 +78,9 @@ def get(page, expression):
     return page.evaluate(f"((n) => ((s) => ({expression}))(n.state))(window.needlefit)")
 
 
-def until(page, true, seconds=PATIENCE):
+def until(page, true):
     """Wait until an expression holds, and return the state."""
-    end = time.monotonic() + seconds
+    end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         if get(page, true):
             return get(page, "s")

@@ -39,9 +39,9 @@ def insertion():
     return open_target("phantom2").begin_insertion()
 
 
-def uncertain(count=96):
+def uncertain():
     """Return it with draws of its parameters: b to 20 %, moduli to a factor of 1.5."""
-    rng, exact = np.random.default_rng(4), insertion().exact
+    rng, exact, count = np.random.default_rng(4), insertion().exact, 96
     mu = exact.mu * np.exp(np.log(1.5) * rng.standard_normal((count, exact.mu.shape[1])))
     bevel = exact.bevel * np.exp(0.2 * rng.standard_normal(count))
     return replace(insertion(), draws=ParameterDraws(mu, np.repeat(exact.shape, count, 0), bevel))

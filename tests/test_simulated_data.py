@@ -37,12 +37,11 @@ from needlefit.synthetic.design import select_designs
 SEEN = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
 
 
-def small_problem(count=2, scale=1.0, **changed):
-    """One or two short needles in one layer whose depths are certain, mu and b free."""
+def small_problem(scale=1.0, **changed):
+    """Two short needles in one layer whose depths are certain, mu and b free."""
     record = medium(1, mu1_pa={"bounds": [1e4, 1e7]}, bevel_mm={"bounds": [0.02, 0.3]})
     made = tuple(
-        replace(measure(SEEN, record, insertion(depth), points=21), **changed)
-        for depth in (13.0, 19.0)[:count]
+        replace(measure(SEEN, record, insertion(depth), points=21), **changed) for depth in (13.0, 19.0)
     )
     noise = Noise(registration_mean=0.19, point_sd=0.02, correlated_sd=0.02)
     data = Dataset("small", "small", "synthetic", made, ("test",), noise, "known", 0.0, Path(), "0")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from inference_cases import TRUTH, dataset, insertion, measure, medium, problem, with_one_bevel
+from inference_cases import TRUTH, dataset, insertion, measure, medium, problem
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
@@ -21,7 +21,7 @@ from needlefit.inference.likelihood.observation import pose_sds
 from needlefit.inference.likelihood.observations import make_observation, read_points
 from needlefit.inference.likelihood.observations.curvature import surround_sensors
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameters import with_bevel_spread, without_prior
+from needlefit.inference.parameters import with_bevel_spread, without_bevel_spread, without_prior
 from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.predict import Draws, PredictiveMixture
 from needlefit.project.locate import find_file
@@ -51,9 +51,13 @@ COPIES = 200  #: draws that are all the same one
 @pytest.fixture(scope="module")
 def job():
     record = load(find_file("study", "study2"), StudyRecord).model_copy(update={"recipe": "quick"})
-    prepared = with_one_bevel(load_study("small", record, Settings()))
-    # exact ties leave one needle few parameters: importance sampling then suffices, in seconds
-    return replace(prepared, parameters=without_prior(prepared.parameters))
+    prepared = load_study("small", record, Settings())
+    likelihood = prepared.recipe.likelihood.model_copy(update={"bevel_spread": 0.0})
+    recipe = prepared.recipe.model_copy(update={"likelihood": likelihood})
+    # one bevel and exact ties leave one needle few parameters: importance sampling suffices, in seconds
+    return replace(
+        prepared, recipe=recipe, parameters=without_prior(without_bevel_spread(prepared.parameters))
+    )
 
 
 @pytest.fixture(scope="module")

@@ -57,10 +57,10 @@ ADVANCED = {
 PHANTOM2 = Tissue([0.2, 33.0, 0.2, 33.0], [1.0, -1.0, 1.0, -1.0], [20.0, 28.0, 45.0])
 
 
-def find_advanced_tip(tissue, spacing, depth=DEPTH_MM):
+def find_advanced_tip(tissue, spacing):
     """Return the tip's deflection u, mm, by the path angle."""
     rules = ModelOptions(spacing, spacing, tolerance=1e-11, advance="path_angle")
-    return float(simulate(NEEDLE, tissue, Bevel(cut_angle=ANGLE), depth, rules=rules).u[-1])
+    return float(simulate(NEEDLE, tissue, Bevel(cut_angle=ANGLE), DEPTH_MM, rules=rules).u[-1])
 
 
 def measure_spacing(tissue):
