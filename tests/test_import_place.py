@@ -478,16 +478,6 @@ def test_an_import_replaces_an_earlier_one_and_nothing_else(tmp_path):
     assert (out / "notes.txt").read_text() == "mine"
 
 
-def test_depths_of_points_count_from_the_entry_unless_the_first_point_is_stated_to_be_it(tmp_path):
-    write_table(file := tmp_path / "a.csv", "needle,depth [mm],deflection [mm]", bend(a=60)[2:])
-    stated, depths = {"holds": "shapes", "point_sd": "0.1"}, []
-    for first in ({}, {"entry_point": "first"}):
-        depths.append(planned([file], **stated, **first)[0].rows[0].depth)
-    assert depths == pytest.approx([60.0, 50.0], abs=0.1)
-    fault = refusal(DataError, "begin at a depth of 10.0 mm", planned, [file], pose="1,0,0", **stated)
-    assert fault.where.endswith("a.csv:2")
-
-
 @pytest.mark.parametrize(("head", "axes"), [("guide z", ""), ("guide y", "z"), ("guide [mm]", "z")])
 def test_a_guide_is_placed_along_the_axis_of_its_column(tmp_path, head, axes):
     rows = [["time", "tip x", "tip y", "tip z", "depth", head]]
@@ -559,13 +549,3 @@ def test_a_needle_that_is_a_tenth_as_long_or_has_a_gauge_in_its_name_is_asked_ab
     assert "--set unit=cm" in fix
     file.write_text(write_long(tmp_path, NEEDLES).read_text().replace("n1,", "22G x 150 mm,"))
     assert "--set diameter=22G" in refusal(DataError, "22G", planned, [file]).fix
-
-
-def test_readings_of_a_needle_at_one_depth_are_one_tip(tmp_path):
-    rows = [("a", 20, 0.9), ("a", 20, 1.1), ("a", 40, 4.0), ("b", 20, 1.2), ("b", 20, 1.2), ("b", 20, 0.9)]
-    write_table(file := tmp_path / "a.csv", "needle,depth [mm],deflection [mm]", rows)
-    data = read(write_placed(tmp_path / "out", [file], holds="tips", point_sd="0.12"))
-    tips = [(tip.id, tip.hole, tip.depth, tip.points[-1, 1]) for tip in data.insertions]
-    assert tips == [("a-1", "a", 20.0, 1.0), ("a-2", "a", 40.0, 4.0), ("b", "b", 20.0, 1.1)]
-    sds = [data.noise.of(tip).point_sd for tip in data.insertions]
-    np.testing.assert_allclose(sds, 0.12 / np.sqrt([2, 1, 3]), rtol=1e-3)

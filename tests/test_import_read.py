@@ -97,14 +97,6 @@ def test_tables_of_other_programs(tmp_path):
     assert_read([write_rows(tmp_path / "c.csv", [["needle", "x [cm]", "y (down) [mm]", "z [mm]"], *mixed])])
 
 
-def test_a_unit_may_stand_in_a_column(tmp_path):
-    rows = [["needle", "x", "y", "z", "unit"]]
-    for k, one in enumerate(NEEDLES):
-        factor, unit = (10.0, "cm") if k else (1.0, "mm")
-        rows += [[f"n{k}", *(point / factor), unit] for point in one]
-    assert_read([write_rows(tmp_path / "a.csv", rows)])
-
-
 def test_a_table_of_slicer_is_in_ras_and_its_labels_name_needles(tmp_path):
     rows = [["label", "r", "a", "s", "defined", "selected", "visible"]]
     for n, one in enumerate(NEEDLES, 1):
@@ -229,13 +221,6 @@ def test_each_of_several_media_has_a_study_of_its_own(tmp_path):
     assert chosen == {"a_soft_gel_study.toml": soft, "a_hard_fit.toml": hard}
     layers = [read_toml(folder / f"tissue_{name}.toml")["layers"] for name in ("soft_gel", "hard")]
     assert layers == [2, 1] and (folder / "scene_hard.toml").is_file()
-
-
-def test_facts_of_a_specimen_are_those_of_its_needles(tmp_path):
-    write_long(tmp_path, NEEDLES, head=["specimen"], cells=[["A"], ["B"], ["A"]])
-    (tmp_path / "blocks.csv").write_text("specimen,boundary [mm]\nA,18\nB,20\n")
-    plan = prepare([tmp_path]).plan
-    assert [row.boundaries for row in plan.rows] == [(18.0,), (20.0,), (18.0,)]
 
 
 # ---- a mapping that was written

@@ -354,7 +354,7 @@ class TableDraft:
     def _fill_down(self) -> None:
         """Propose that a blank name is the one above.
 
-        Names then stand in the first row of each block of points, or come again; else they name single rows.
+        Names then stand in the first row of each block of points; else they name single rows.
         """
         if not self.names:
             return
@@ -362,7 +362,7 @@ class TableDraft:
         texts = [row[column.place] for row in self.table.rows]
         named = [n for n, text in enumerate(texts) if text]
         are_first = all(b - a > 1 for a, b in pairwise([*named, len(texts)]))
-        if all(texts) or named[0] or not (are_first or len({*texts}) <= len(named)):
+        if all(texts) or named[0] or not are_first:
             return
         self.keys["fill_down"] = [column.name]
         self.draft.assumed["fill_down"] = f"{column.name}: a blank cell is the one above"

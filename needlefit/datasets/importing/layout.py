@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 
-from needlefit.datasets.importing.meanings import MEANINGS, MISSING, Keys, read_header
+from needlefit.datasets.importing.meanings import MISSING, Keys, read_header
 from needlefit.datasets.importing.tables import MAX_TABLE_BYTES, Grid, decode, parse_number, split_text
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
@@ -144,11 +144,9 @@ def _find_header_rows(rows: Rows, decimal: str, comment: str) -> list[int]:
         filled = [cell for cell in row if cell]
         if not filled or (row[0].startswith(comment) and comment and numbers):
             break
-        if numbers and (len(filled) < 2 or (len(filled) < 4 and not _is_label(row, below))):
+        if len(filled) < 2 or (numbers and _is_line(row, below)):
             break
-        if numbers and _is_remark(row, below):
-            break
-        if (len(filled) < 2 or numeric[n]) and not (numbers and _names_groups(row, below)):
+        if numeric[n] and not (numbers and _names_groups(row, below)):
             break
         numbers.insert(0, n + 1)
     return numbers
@@ -160,20 +158,11 @@ def _names_groups(row: Sequence[str], below: Sequence[str]) -> bool:
     return above == [n for n, cell in enumerate(below) if read_header(cell).axis == "x"]
 
 
-def _is_label(row: Sequence[str], below: Sequence[str]) -> bool:
-    """Whether a row names groups of the columns below it: it has several texts, and none states a value."""
-    filled = [n for n, cell in enumerate(row) if cell]
-    is_meaning = read_header(row[filled[0]].rstrip(":= ")).meaning in MEANINGS
-    is_pair = is_meaning and len(filled) < sum(map(bool, below)) and filled[1:2] == [filled[0] + 1]
-    return len(filled) > 1 and not is_pair and sum(map(bool, below)) > 2
-
-
-def _is_remark(row: Sequence[str], below: Sequence[str]) -> bool:
-    """Whether a row is a line of text that the separator divided, above headers that are known without it."""
+def _is_line(row: Sequence[str], below: Sequence[str]) -> bool:
+    """Whether a row is a line of text or a pair above headers: it ends before them, and none comes again."""
     filled, heads = [cell for cell in row if cell], [cell for cell in below if cell]
-    is_from_left = [*row[: len(filled)]] == filled and len(filled) < len(heads)
-    are_unknown = not any(header.is_known for header in map(read_header, filled))
-    return is_from_left and are_unknown and len({*heads}) == len(heads) and _is_head(below, "")
+    is_short = [*row[: len(filled)]] == filled and len(filled) < len(heads) == len({*heads})
+    return len(heads) < 3 or is_short
 
 
 def _is_head(row: Sequence[str], comment: str) -> bool:

@@ -29,6 +29,7 @@ class Meaning(NamedTuple):
     reason: str = ""
     likely: tuple[float, ...] = ()  # least and greatest length (mm) that is believed without a unit
     choices: tuple[str, ...] = ()  # all values that it may have; none: any
+    of_all: bool = False  # no needle has a cell of its own
 
 
 class QuestionText(NamedTuple):
@@ -52,20 +53,8 @@ ROWS = MappingProxyType({key: Meaning(**parts) for key, parts in _FILE["rows"].i
 MEANINGS = MappingProxyType({**VALUES, **ROWS})
 QUESTIONS = MappingProxyType({key: QuestionText(**parts) for key, parts in _FILE["questions"].items()})
 
-OF_ALL = (  #: of these not
-    "entry",
-    "bevel",
-    "curvature_sd",
-    "guide",
-    "registration_depth",
-    "leave_out",
-    "lengths",
-    "title",
-    "source",
-    "license",
-)
 #: what is stated of a needle
-ATTRIBUTES = ("depth", "thickness", *(key for key in VALUES if key not in OF_ALL))
+ATTRIBUTES = ("depth", "thickness", *(key for key, meaning in VALUES.items() if not meaning.of_all))
 COORDINATES = ("x", "y", "z", "depth", "deflection", "deflection_z", "guide")  #: in the unit of points
 VECTORS = ("entry_point", "pose")  #: columns x, y, z that state something of each needle
 
@@ -115,19 +104,10 @@ def _load() -> dict[tuple[str, str], tuple[str, str]]:
     return {
         (kind, _make_key(_split(word))): (meaning, unit)
         for kind, meaning, unit, *languages in rows
-        if kind != "axes"
         for words in languages
         for word in words.split(";")
         if word
     }
-
-
-@cache
-def _load_axes() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
-    """Return the headers that are axes only together: their system, usual unit, and names of x, y and z."""
-    with FILE.open(encoding="utf-8", newline="") as file:
-        rows = [row for row in csv.reader(file) if row[0] == "axes"]
-    return tuple((system, unit, tuple(names.split(";"))) for _, system, unit, names, *_ in rows)
 
 
 def _split(text: str) -> list[str]:
@@ -213,14 +193,16 @@ def read_header(text: str) -> Header:
 def name_axes(headers: Sequence[Header]) -> tuple[list[Header], dict[str, int]]:
     """Return headers some of which are axes only together, as `r, a, s`; and the signs of axes in LPS."""
     words = ["".join(split_unit(header.text)[0].casefold().split()) for header in headers]
-    for system, usual, names in _load_axes():
-        if {*names} <= {*words}:
-            axes = dict(zip(names, "xyz", strict=False))
+    for system in _FILE["axes"]:
+        if {*system["names"]} <= {*words}:
+            axes = dict(zip(system["names"], "xyz", strict=False))
             named = [
-                Header(header.text, "", axes[word], "", header.unit or usual) if word in axes else header
+                Header(header.text, "", axes[word], unit=header.unit or system["unit"])
+                if word in axes
+                else header
                 for header, word in zip(headers, words, strict=True)
             ]
-            return named, {"x": -1, "y": -1} if system == "RAS" else {}
+            return named, system["signs"]
     return [*headers], {}
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.draft_table import Columns, TableDraft
+from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
 from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.kinds.facts import read_stated
 from needlefit.datasets.importing.kinds.tips import TipPlacer
@@ -52,6 +52,15 @@ def propose_curvatures(draft: TableDraft, is_stated: bool) -> dict[str, Columns]
     return {"": {}}
 
 
+def complete_curvatures(draft: TableDraft, records: Records) -> None:
+    """Let curvatures without a unit have that of the other axis."""
+    units = [records[axis]["unit"] for axis in AXES if "unit" in records.get(axis, {})]
+    for axis in AXES if units else ():
+        if axis in records and not records[axis].keys() & {"unit", "unit_column"}:
+            records[axis]["unit"] = units[0]
+            draft.draft.assumed.pop(f"{axis}.unit", None)
+
+
 def read_curvatures(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:
     """Add sensors: place, mm, curvatures and SD, 1/mm (NaN: no cell states it); and facts beside them."""
     columns = mapped.record.columns
@@ -69,5 +78,6 @@ CURVATURES = RowKind(
     propose_curvatures,
     5,
     placer=CurvaturePlacer,
+    complete=complete_curvatures,
     read=read_curvatures,
 )
