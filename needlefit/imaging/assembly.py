@@ -14,6 +14,7 @@ from needlefit.datasets.sections import SECTIONS_PATTERN
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface
+from needlefit.grouping import group_values
 from needlefit.imaging.batch import ReconstructionFailure
 from needlefit.imaging.constants import MM
 from needlefit.imaging.corrections import list_control_points
@@ -62,9 +63,7 @@ def assemble_dataset(
     DataError if the scans of one medium have layers of different kinds or numbers, or the surfaces of two
     media would have one name.
     """
-    media: dict[str, list[Reconstruction]] = {}
-    for needle in reconstructions:
-        media.setdefault(needle.scan.medium, []).append(needle)
+    media = group_values((needle.scan.medium, needle) for needle in reconstructions)
     records: dict[str, DatasetMediumRecord] = {}
     surfaces: dict[str, Surface] = {}
     for name, group in media.items():
@@ -118,7 +117,7 @@ def _dataset_record(
     description: DatasetDescription,
     media: dict[str, DatasetMediumRecord],
 ) -> DatasetRecord:
-    needle = recipe.needle
+    needle, about = recipe.needle, vars(description)
     drawn = all(scanned.sections is not None for scanned in reconstructions)
     sd = float(np.sqrt(np.mean(np.concatenate([scanned.sd for scanned in reconstructions]) ** 2)))
     registered = float(np.mean([scanned.target_error.mean() for scanned in reconstructions]))
@@ -128,15 +127,9 @@ def _dataset_record(
         if scanned.confirmed
     }
     return DatasetRecord(
+        **about | {"title": description.title or description.name, "media": media},
         schema_=1,
-        name=description.name,
-        title=description.title or description.name,
         origin=combine_origins(scanned.scan.origin for scanned in reconstructions),
-        license=description.license,
-        source=description.source,
-        truth_seed=description.truth_seed,
-        truth_population=description.truth_population,
-        notes=description.notes,
         frame=FrameRecord(name="world" if reconstructions[0].registration else "patient (LPS)", pose="known"),
         needle=NeedleRecord(
             name=needle.name,
@@ -162,7 +155,6 @@ def _dataset_record(
         centerlines=CenterlinesRecord(pattern="centerlines/{id}.csv"),
         # centrelines are splines through stored cross-sections, if all of them are
         measurement=MeasurementRecord(operator="spline", sections=SECTIONS_PATTERN) if drawn else None,
-        media=media,
         import_=ImportRecord(confirmed=confirmed) if confirmed else None,
     )
 

@@ -258,9 +258,10 @@ def _list_behind_metal(
     right. In the streaks air behind it is a dip, at whose end the tissue begins.
     """
     known, found = np.isfinite(profile.around), list[EntryCandidate]()
-    if not known.any():
+    if not runs:
         return found
-    s = np.arange(*profile.s[known][[0, -1]], 0.05)
+    first, *_, last = profile.s[known].tolist()
+    s = np.arange(first, last, 0.05)
     values = np.interp(s, profile.s[known], profile.around[known])
     for run, behind in pairwise(runs):
         if (run.kind, behind.kind) != ("metal", "soft"):

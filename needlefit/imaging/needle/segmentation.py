@@ -24,7 +24,7 @@ MAX_BOX_VOXELS = 2**24
 
 
 def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]:
-    """Return the thin pieces of a component, each (n, 3), i, j, k; itself where nothing of it is wide.
+    """Return the thin pieces of a component, each (n, 3), i, j, k; none where nothing of it is wide.
 
     A wide part is the union of all balls of more than `max_width` mm across that fit into the component; it
     is cut off together with as much of the needle as its blur covers.
@@ -40,7 +40,7 @@ def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]
     # from a voxel's centre to one outside
     core = _distance(mask[::every, ::every, ::every], spacing) > radius + every * step / 2
     if not core.any():
-        return [voxels]
+        return []
     away = _distance(~core, spacing)[tuple(((voxels - low) // every).T)]
     mask[tuple((voxels - low)[away <= 1.5 * radius + every * step].T)] = False
     return [part + low for part in _list_parts(mask)]
@@ -130,10 +130,8 @@ def cut_components(
             found.append(part)
             continue
         pieces = cut_wide_parts(volume, part.voxels, PART.WIDENING * recipe.needle.diameter_mm)
-        if len(pieces) == 1 and len(pieces[0]) == len(part.voxels):
-            found.append(part)
-        else:
-            found += [_trim_piece(volume, one, recipe) for one in pieces if len(one) >= FEWEST]
+        trimmed = [_trim_piece(volume, one, recipe) for one in pieces if len(one) >= FEWEST]
+        found += trimmed or [part]
     return found
 
 
