@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from needlefit.datasets.insertion import Dataset
     from needlefit.project.tasks import TaskPool
     from needlefit.schemas.base import FileRecord
-    from needlefit.schemas.study import FitRecord
     from needlefit.studies.answer import Advice
     from needlefit.studies.job import Inputs
     from needlefit.studies.run import Run
@@ -206,13 +205,13 @@ def _run_study(
 
     `datasets`: by the files or folders that studies name. Also returns the notes that were printed.
     """
-    from needlefit.project.toml import add_file_context
+    from needlefit.project.toml import add_file_context, find_named
     from needlefit.schemas.study import FitRecord, StudyRecord
     from needlefit.studies.job import Inputs
 
     noted, record, inputs = list[str](), work.record, execution.inputs
     if isinstance(record, FitRecord):
-        inputs = Inputs(dataset=datasets[find_dataset_path(record)])
+        inputs = Inputs(dataset=datasets[find_named("dataset", record.dataset)])
     execution = replace(execution, invocation=replace(execution.invocation, noted=noted), inputs=inputs)
     # a fit by itself is sampled as by `tune`; folds of studies are not
     sample = not isinstance(record, StudyRecord)
@@ -223,13 +222,6 @@ def _run_study(
     return run, noted
 
 
-def find_dataset_path(record: "FitRecord") -> Path:
-    """Return the file or folder of the dataset that a study or fit names."""
-    from needlefit.project.toml import find_named
-
-    return find_named("dataset", record.dataset)
-
-
 def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
     """Run, write and print every work; their checkpoints stay. A dataset is read once for all.
 
@@ -237,14 +229,14 @@ def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
     """
     from needlefit.datasets.read import read
     from needlefit.project.tasks import LocalPool, can_fork, stop_requested
-    from needlefit.project.toml import add_file_context
+    from needlefit.project.toml import add_file_context, find_named
     from needlefit.schemas.study import FitRecord
 
     datasets: dict[Path, Dataset] = {}
     for work in todo:
         if isinstance(work.record, FitRecord):
             with add_file_context(work.file):
-                path = find_dataset_path(work.record)
+                path = find_named("dataset", work.record.dataset)
                 datasets[path] = datasets.get(path) or read(path)
     asked = execution.invocation
     jobs = asked.jobs or count_cores()

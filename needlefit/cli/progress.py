@@ -7,15 +7,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TextIO
 
-Report = Callable[[str, int, int], None]
+from needlefit.project.progress import Progress, no_progress
+
 LINE_INTERVAL_SECONDS = 60.0
 
 
 @contextmanager
-def show_progress(quiet: bool = False) -> Iterator[Report]:
+def show_progress(quiet: bool = False) -> Iterator[Progress]:
     """Yield the function that a run calls with what it does, how many steps are done, and of how many."""
     if quiet:
-        yield lambda label, done, total: None
+        yield no_progress
     elif sys.stderr.isatty():
         with _bar() as report:
             yield report
@@ -23,7 +24,7 @@ def show_progress(quiet: bool = False) -> Iterator[Report]:
         yield report_lines(sys.stderr)
 
 
-def report_lines(stream: TextIO, clock: Callable[[], float] = time.monotonic) -> Report:
+def report_lines(stream: TextIO, clock: Callable[[], float] = time.monotonic) -> Progress:
     """Return a reporter that writes at most one line a minute, with the time left at the mean pace."""
     lock, last, first = threading.Lock(), [clock()], list[tuple[float, int]]()
 
@@ -44,7 +45,7 @@ def report_lines(stream: TextIO, clock: Callable[[], float] = time.monotonic) ->
 
 
 @contextmanager
-def _bar() -> Iterator[Report]:
+def _bar() -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import (
         BarColumn,

@@ -150,18 +150,19 @@ def _find_record(kind: type[BaseModel], place: Location) -> type[BaseModel] | No
         fields = {model_field.alias or name: model_field for name, model_field in kind.model_fields.items()}
         if part not in fields:
             continue  # the number or the name of a table, whose record was found with the key of all
-        inner = list(_list_records(fields[str(part)].annotation))
+        inner = list(list_inner_records(fields[str(part)].annotation))
         if len(inner) != 1:
             return None
         kind = inner[0]
     return kind
 
 
-def _list_records(annotation: object) -> Iterator[type[BaseModel]]:
+def list_inner_records(annotation: object) -> Iterator[type[BaseModel]]:
+    """Yield the records within an annotation, also in lists and tables."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for inner in get_args(annotation):
-        yield from _list_records(inner)
+        yield from list_inner_records(inner)
 
 
 # ---- where a key stands

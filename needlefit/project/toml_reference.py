@@ -13,7 +13,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from needlefit.project.toml import dumps
+from needlefit.project.toml import dumps, list_inner_records
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.dataset import DatasetRecord, SectionsRecord
 from needlefit.schemas.mapping import MappingRecord
@@ -94,7 +94,7 @@ def _describe_record(
     """Yield the keys of a record, then those of the tables within it that were not described."""
     keys, inner = [], []
     for name, field in record.model_fields.items():
-        key, record_in = field.alias or name, _find_record(field.annotation)
+        key, record_in = field.alias or name, next(list_inner_records(field.annotation), None)
         if record_in and record_in not in described:
             path_in = ".".join(filter(None, (path, key)))
             inner.append((record_in, path_in))
@@ -167,14 +167,7 @@ def _describe_type(annotation: Any) -> str:  # noqa: ANN401 - whatever may stand
         return f"table of {_describe_type(inner[1])} by name"
     if origin is tuple:
         return f"array of {_describe_type(inner[0])}" + (f" × {len(inner)}" if inner[-1] is not ... else "")
-    return "table" if _find_record(annotation) else TYPES.get(annotation, "value")
-
-
-def _find_record(annotation: Any) -> type[BaseModel] | None:  # noqa: ANN401 - whatever may stand in an annotation
-    """Return the record within an annotation, also in a list or a table."""
-    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
-        return annotation
-    return next((record for part in get_args(annotation) if (record := _find_record(part))), None)
+    return "table" if any(list_inner_records(annotation)) else TYPES.get(annotation, "value")
 
 
 def _format_value(value: Any) -> str:  # noqa: ANN401 - a TOML value

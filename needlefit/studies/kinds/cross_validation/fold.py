@@ -9,6 +9,7 @@ import os
 import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.checkpoint import Checkpoint
-from needlefit.project.progress import no_progress
+from needlefit.project.progress import Progress, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
@@ -50,7 +51,6 @@ from needlefit.studies.identification import (
     reconcile_verdict,
 )
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.kinds.cross_validation.progress import SEARCH_PHASES, StudyProgress
 from needlefit.studies.kinds.cross_validation.rows import (
     describe_error_fit,
     list_directions,
@@ -67,6 +67,48 @@ from needlefit.studies.validity import MOSTLY_OUTSIDE, add_counts
 FitRows = dict[str, Sequence[Any]]  #: rows by the name of the table that they belong to
 #: tables of what is scored and predicted, and the simulations outside what the model assumes
 SCORED_TABLES = ("errors", "shapes", "outside", "predictive", "bands", "readings", "ends", "curvature")
+
+
+SEARCH_PHASES = {
+    "fitted": "search for the best fit",
+    "fitted_metric": "search for the smallest errors",
+    "b_alone": "search for b alone",
+}
+#: steps of progress: of a profile, of all posterior draws and of a prediction; a start of a search has 1
+PROFILE_STEPS, DRAW_STEPS, PREDICTION_STEPS = 4, 30, 4
+
+
+class StudyProgress:
+    """Reports the phases of all folds of a study, each as long as it takes in a typical one."""
+
+    def __init__(self, job: Job, progress: Progress) -> None:
+        self._name, self._progress = job.name, progress
+        shared = {SEARCH_PHASES[search]: job.recipe.starts for search in job.searches}
+        if len(job.folds) == 1:
+            shared["profiles"] = PROFILE_STEPS * len(job.parameters.free)
+        shared["posterior draws"] = DRAW_STEPS
+        self._sizes = {
+            fold.name: shared | {"predictions": PREDICTION_STEPS * len(fold.validate)} for fold in job.folds
+        }
+        self._done: dict[tuple[str, str], float] = {}  # by fold and phase
+
+    def phase(self, fold: Fold, phase: str) -> Callable[..., None]:
+        """Return a callback that takes the number of steps of a phase that are done, and of all."""
+        return partial(self.report, fold, phase)
+
+    def report(self, fold: Fold, phase: str, step: float = 0, steps: int = 1) -> None:
+        """Report so many steps of a phase of a fold as done."""
+        self._done[fold.name, phase] = step / steps
+        sizes = [(name, *item) for name, phases in self._sizes.items() for item in phases.items()]
+        done = sum(self._done.get((name, task), 0.0) * size for name, task, size in sizes)
+        number, count = [*self._sizes].index(fold.name) + 1, len(self._sizes)
+        place = f"{self._name}: {fold.name} (fold {number} of {count})" if count > 1 else self._name
+        self._progress(f"{place}: {phase}", round(done), sum(size for *_, size in sizes))
+
+    def finish(self, fold: Fold, phase: str) -> None:
+        """Report all other phases of a fold as done; `phase` goes on."""
+        self._done |= {(fold.name, task): 1.0 for task in self._sizes[fold.name]}
+        self.report(fold, phase)
 
 
 @dataclass(frozen=True)

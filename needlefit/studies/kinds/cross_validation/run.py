@@ -35,10 +35,10 @@ from needlefit.studies.kinds.cross_validation.fold import (
     FitRows,
     FoldResult,
     FoldServices,
+    StudyProgress,
     join_rows,
     run_fold,
 )
-from needlefit.studies.kinds.cross_validation.progress import StudyProgress
 from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.load import load_study
 from needlefit.studies.needle_placement import tabulate_needles_in_scan
