@@ -3,7 +3,7 @@
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TextIO
 
@@ -13,7 +13,7 @@ LINE_INTERVAL_SECONDS = 60.0
 
 
 @contextmanager
-def show_progress(quiet: bool = False) -> Iterator[Progress]:
+def show_progress(quiet: bool) -> Iterator[Progress]:
     """Yield the function that a run calls with what it does, how many steps are done, and of how many."""
     if quiet:
         yield no_progress
@@ -24,13 +24,13 @@ def show_progress(quiet: bool = False) -> Iterator[Progress]:
         yield report_lines(sys.stderr)
 
 
-def report_lines(stream: TextIO, clock: Callable[[], float] = time.monotonic) -> Progress:
+def report_lines(stream: TextIO) -> Progress:
     """Return a reporter that writes at most one line a minute, with the time left at the mean pace."""
-    lock, last, first = threading.Lock(), [clock()], list[tuple[float, int]]()
+    lock, last, first = threading.Lock(), [time.monotonic()], list[tuple[float, int]]()
 
     def report(label: str, done: int, total: int) -> None:
         with lock:
-            now = clock()
+            now = time.monotonic()
             if not first:  # what an earlier run has done says nothing of the pace
                 first.append((now, done))
             if now - last[0] >= LINE_INTERVAL_SECONDS:

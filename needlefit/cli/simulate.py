@@ -124,7 +124,7 @@ def _replay_recording(path: Path, outputs: Mapping[str, Path]) -> "tuple[Simulat
 
 
 def summarize_simulation(
-    scene: "Scene", shapes: "Sequence[NeedleShape]", placement: "Placement | None" = None
+    scene: "Scene", shapes: "Sequence[NeedleShape]", placement: "Placement | None"
 ) -> dict[str, Any]:
     """Return what `--json` prints, of the last step that was tried and, in `steps`, of each; lengths in mm.
 

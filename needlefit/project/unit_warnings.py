@@ -89,7 +89,7 @@ def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Result
 
 
 def extrapolation_warnings(
-    depth: float, fitted: Sequence[float], *, z_unfitted: bool = False
+    depth: float, fitted: Sequence[float], *, z_unfitted: bool
 ) -> Iterator[ResultWarning]:
     """Yield a warning if a predicted depth is far from those that were fitted, all in mm.
 

@@ -109,8 +109,8 @@ def _lay_out_groups(
     name: str,
     blocks: Sequence[tuple[scores.ScoredGroup, Sequence[_RowKind]]],
     heads: Sequence[str],
+    medians: int,
     short: bool = False,
-    medians: int = 0,
 ) -> TableLayout:
     """Return a block of rows for each group, of which the first has its name (`heads`) and its noise.
 

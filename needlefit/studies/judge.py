@@ -376,7 +376,7 @@ FEWEST_TRIALS = 4
 
 
 def check_intervals(
-    predictive: pd.DataFrame, recipe: RecipeRecord | None, held_out: int = 0, score: str = TE
+    predictive: pd.DataFrame, recipe: RecipeRecord | None, held_out: int, score: str
 ) -> Iterator[Finding]:
     """Yield how many tips lie in their intervals; of tips, how wide the 95 % intervals are.
 
