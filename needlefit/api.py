@@ -10,8 +10,8 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field, fields, replace
+from contextlib import contextmanager
+from dataclasses import fields, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, Literal, TypedDict, Unpack
@@ -56,7 +56,7 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, SelectionRecord
 from needlefit.studies import simulated_data
-from needlefit.studies.job import Inputs, Job, Settings, run_study
+from needlefit.studies.job import Job, Settings, StatedStudy, run_study
 from needlefit.studies.judge import REFERENCES as REFERENCES
 from needlefit.studies.judge import compare_with_references as compare_with_references
 from needlefit.studies.judge import judge_fits as judge_fits
@@ -109,16 +109,6 @@ class FitChanges(TypedDict, total=False):
 
 class FitOptions(FitChanges, RunOptions):
     """The options of `fit` and `sample`."""
-
-
-@dataclass(frozen=True)
-class _Study:
-    """What is run: a study or a fit, what is in memory for it, and the file that it is from."""
-
-    name: str
-    record: FileRecord
-    inputs: Inputs = field(default_factory=Inputs)
-    file: Path | None = None
 
 
 def load_dataset(name: Name) -> Dataset:
@@ -428,7 +418,7 @@ def predict(
         specimen=specimen,
     )
     stem = Path(scene_name).stem if scene_name != IN_MEMORY else "scene"
-    planned_study = _Study(f"predict-{about}-{stem}", record, inputs)
+    planned_study = StatedStudy(f"predict-{about}-{stem}", record, inputs)
     return _run(planned_study, **options)
 
 
@@ -772,7 +762,7 @@ def _check_types(**options: object) -> None:
         raise ConfigError(f"`jobs` is {jobs}", expected="1 or more")
 
 
-def _open_fit(target: Name | Dataset | Run, medium: Medium | None, stored: bool = True) -> _Study:
+def _open_fit(target: Name | Dataset | Run, medium: Medium | None, stored: bool = True) -> StatedStudy:
     """Return the fit of a dataset with a medium, of a run, or of a file."""
     if medium is not None:
         return _begin_fit(target, medium, stored)
@@ -782,34 +772,34 @@ def _open_fit(target: Name | Dataset | Run, medium: Medium | None, stored: bool 
     if isinstance(target, Run):
         return _reopen(target)
     name, record, inputs, file, _ = load_target(spell_name(target))
-    return _Study(name, record, inputs, file)
+    return StatedStudy(name, record, inputs, file)
 
 
-def _begin_fit(target: Name | Dataset | Run, medium: Medium, stored: bool) -> _Study:
+def _begin_fit(target: Name | Dataset | Run, medium: Medium, stored: bool) -> StatedStudy:
     if isinstance(target, Run):
         raise ConfigError("a run has a medium already", fix="leave `medium` out, or give the dataset")
     table = {"schema": FitRecord.SCHEMA, "dataset": IN_MEMORY, "medium": IN_MEMORY}
-    empty = _Study("", check(table, FitRecord, "needlefit.fit"))
+    empty = StatedStudy("", check(table, FitRecord, "needlefit.fit"))
     job = _replace_inputs(empty, target, medium, stored=stored)
     record, inputs = _require_fit(job.record), job.inputs
     dataset = load_dataset(record.dataset) if inputs.dataset is None else inputs.dataset
     inputs = replace(inputs, dataset=dataset)
     if inputs.medium:
-        return _Study(dataset.name, record, inputs)
+        return StatedStudy(dataset.name, record, inputs)
     stem = Path(record.medium).stem
     if stem in dataset.media and len(dataset.media) > 1:
         media = f"{len(dataset.media)} media of {dataset.name}"
         note = f"Fitted to the insertions into {stem}, one of the {media}."
         record = record.model_copy(update={"tune": SelectionRecord(medium=stem), "note": note})
-    return _Study(f"{dataset.name}-{stem}", record, inputs)
+    return StatedStudy(f"{dataset.name}-{stem}", record, inputs)
 
 
-def _load_study(study: Name | FileRecord | Table) -> _Study:
+def _load_study(study: Name | FileRecord | Table) -> StatedStudy:
     """Return a study by its record, its keys, or the name of its file."""
     if isinstance(study, FileRecord):
-        return _Study("study", study)
+        return StatedStudy("study", study)
     if isinstance(study, Mapping):
-        return _Study("study", check_study(study, "needlefit.validate"))
+        return StatedStudy("study", check_study(study, "needlefit.validate"))
     (name, file), *others = find_studies(spell_name(study))
     if others:
         raise ConfigError(
@@ -817,7 +807,7 @@ def _load_study(study: Name | FileRecord | Table) -> _Study:
             expected="a single one",
             fix=f"run them one by one: {', '.join([name, *(other for other, _ in others)])}",
         )
-    return _Study(name, load_study_file(file), file=file)
+    return StatedStudy(name, load_study_file(file), file=file)
 
 
 def _require_fit(record: FileRecord) -> FitRecord:
@@ -829,11 +819,11 @@ def _require_fit(record: FileRecord) -> FitRecord:
     )
 
 
-def _prepare(study: _Study, seed: int | None, jobs: int | None) -> tuple[Job, int]:
+def _prepare(study: StatedStudy, seed: int | None, jobs: int | None) -> tuple[Job, int]:
     """Return the job of a study that is computed here, without a run, and the threads to use."""
     _check_types(seed=seed, jobs=jobs)
     settings = Settings(seed=seed, jobs=count_cores() if jobs is None else jobs, inputs=study.inputs)
-    with nullcontext() if study.file is None else add_file_context(study.file):
+    with add_file_context(study.file):
         return load_study(study.name, _require_fit(study.record), settings), settings.jobs
 
 
@@ -870,13 +860,13 @@ def _fit(
 
 
 def _replace_inputs(
-    study: _Study,
+    study: StatedStudy,
     dataset: Name | Dataset | None = None,
     medium: Medium | None = None,
     recipe: Recipe | None = None,
     *,
     stored: bool = True,
-) -> _Study:
+) -> StatedStudy:
     """Return a study with other data, another tissue model or recipe.
 
     Of a run that may be `stored`, the dataset must be what its files hold.
@@ -903,13 +893,13 @@ def _replace_inputs(
 
 
 def _change_fit(
-    study: _Study,
+    study: StatedStudy,
     tune: Table | None = None,
     recipe: Recipe | None = None,
     priors: Mapping[int, Name] | None = None,
     free: Sequence[str] = (),
     fix: Mapping[str, float] | None = None,
-) -> _Study:
+) -> StatedStudy:
     """Return a fit with the changes that were asked for."""
     _check_types(tune=tune, priors=priors, free=free, fix=fix)
     record, inputs, fix = _require_fit(study.record), study.inputs, fix or {}
@@ -927,9 +917,9 @@ def _change_fit(
     return replace(study, record=record, inputs=replace(inputs, medium=medium))
 
 
-def _reopen(run: Run) -> _Study:
+def _reopen(run: Run) -> StatedStudy:
     """Return the fit of a run, with its data, medium, recipe and posterior."""
-    return _Study(*reopen_fit(run, f"run `{run.name}`"))
+    return StatedStudy(*reopen_fit(run, f"run `{run.name}`"))
 
 
 def _read_recipe(value: Recipe) -> tuple[RecipeRecord, str]:
@@ -978,7 +968,7 @@ def _is_same(insertion: Insertion, other: Insertion) -> bool:
 
 
 def _run(
-    study: _Study,
+    study: StatedStudy,
     *,
     sample: bool = False,
     name: str | None = None,
@@ -988,7 +978,7 @@ def _run(
     checkpoint: Name | None = None,
 ) -> Run:
     _check_types(name=name, seed=seed, jobs=jobs)
-    name, record = name or study.name, study.record
+    name = name or study.name
     checkpoint = None if checkpoint is None else Path(checkpoint)
     with _catch_interrupts() as stop, _show_progress(progress) as report:
         settings = Settings(
@@ -1000,11 +990,8 @@ def _run(
             progress=report,
             stop=stop,
             note=warnings.warn,
-            file=study.file,
-            inputs=study.inputs,
         )
-        with nullcontext() if study.file is None else add_file_context(study.file):
-            result = run_study(name, record, settings)
+        result = run_study(replace(study, name=name), settings)
     if checkpoint is not None and not result.interrupted:
         remove_checkpoint(checkpoint, warnings.warn)
     has_fit = result.kind == "fit" and "fitted" in set(result.frames["errors"]["method"])

@@ -12,21 +12,22 @@ import json, os, sys, time
 from pathlib import Path
 from types import SimpleNamespace
 from needlefit.cli import execution
-from needlefit.cli.execution import Execution, StudyTask, run_studies
+from needlefit.cli.execution import Execution, run_studies
 from needlefit.cli.exit_codes import Invocation
+from needlefit.studies.job import StatedStudy
 
-def run(self, name, record, sample, file):
+def run(self, study, sample):
     assert self.invocation.jobs == int(sys.argv[2])
-    time.sleep(0.5 if name == "first" else 0.0)  # it ends last
-    self._print_note(name)
-    return SimpleNamespace(name=name, interrupted=name == "stopped", process=os.getpid())
+    time.sleep(0.5 if study.name == "first" else 0.0)  # it ends last
+    self._print_note(study.name)
+    return SimpleNamespace(name=study.name, interrupted=study.name == "stopped", process=os.getpid())
 
 shown = []
 Execution.run = run
 Execution.write = lambda self, run: Path(f"{run.name}.txt").write_text(run.name)
 execution.show_run = lambda asked, run, folder, named: shown.append(run.name)
 asked = Invocation((), jobs=int(sys.argv[1]), quiet=True)
-todo = [StudyTask(name, SimpleNamespace(), Path(f"{name}.toml")) for name in sys.argv[3:]]
+todo = [StatedStudy(name, SimpleNamespace()) for name in sys.argv[3:]]
 try:
     done = run_studies(Execution(asked), todo)
 except Exception as error:

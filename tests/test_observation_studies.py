@@ -29,7 +29,7 @@ from needlefit.reporting.document import compile_html
 from needlefit.reporting.needle_page import kernel_exists
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.explorer import collect_explorer
-from needlefit.studies.job import Settings, run_study
+from needlefit.studies.job import Settings, StatedStudy, run_study
 from needlefit.studies.observations import draw_observations
 from needlefit.studies.report import compose_run_report
 from needlefit.viewer.opening import open_target
@@ -264,7 +264,7 @@ def test_a_run_that_ends_by_an_error_does_not_block_the_next_one(tmp_path):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("needlefit.studies.kinds.cross_validation.run.run", fail)
             with pytest.raises(type(error)):
-                run_study("a", record, Settings(checkpoint=folder))
+                run_study(StatedStudy("a", record), Settings(checkpoint=folder))
         assert folder.exists() is left
 
 

@@ -26,7 +26,7 @@ from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.fold_draws import Specimens, choose_specimen
 from needlefit.studies.identity import describe_configuration
-from needlefit.studies.job import Inputs, Settings, run_study
+from needlefit.studies.job import Inputs, Settings, StatedStudy, run_study
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.prediction import run as prediction
 from needlefit.studies.kinds.prediction.forecast import forecast, tabulate_forecast
@@ -164,7 +164,7 @@ def predict_with(job, monkeypatch, draws, inputs=None, depth=38.06, note=no_note
     monkeypatch.setattr(prediction, "draw_parameters", lambda *_: about(draws))
     scene = load(find_file("scene", "study2"), SceneRecord).model_copy(update={"depth_mm": depth})
     record = find_kind("prediction").make_record(target="phantom2", scene=scene, **options)
-    return run_study("gel", record, Settings(inputs=inputs or Inputs(), note=note))
+    return run_study(StatedStudy("gel", record, inputs or Inputs()), Settings(note=note))
 
 
 def test_a_prediction_follows_a_target_without_spread_between_specimens(job, monkeypatch):
@@ -290,7 +290,7 @@ def test_a_prediction_from_an_unconverged_posterior_is_flagged(monkeypatch):
     record = find_kind("prediction").make_record(
         target="phantom2", scene=load(find_file("scene", "study2"), SceneRecord), specimen="same"
     )
-    found = run_study("gel", record, Settings())
+    found = run_study(StatedStudy("gel", record), Settings())
     layout = REPORT.lay_out(found)[0]
     assert "NOT CERTIFIED" in layout.caption and any("(budget)" in str(one) for one in found.faults)
     tip = find_tip(found)

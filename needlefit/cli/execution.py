@@ -22,30 +22,20 @@ if TYPE_CHECKING:
     from needlefit.project.tasks import TaskPool
     from needlefit.schemas.base import FileRecord
     from needlefit.studies.answer import Advice
-    from needlefit.studies.job import Inputs
+    from needlefit.studies.job import Inputs, StatedStudy
     from needlefit.studies.run import Run
-
-
-@dataclass(frozen=True)
-class StudyTask:
-    """A study, or a fit of the paper's tuning tables, that is to be carried out."""
-
-    name: str
-    record: "FileRecord"
-    file: Path
 
 
 @dataclass(frozen=True)
 class Execution:
     """How runs of a command go; results go to `OUT/<name>/`, checkpoints to `OUT/<name>.partial/`.
 
-    `stop`: whether to end early. `inputs` takes the place of files that are named. `sources` are the files of
-    which each result is made, by its name; `prepare` fills them.
+    `stop`: whether to end early. `sources` are the files of which each result is made, by its name; `prepare`
+    fills them.
     """
 
     invocation: Invocation
     stop: Callable[[], bool] = never_stop
-    inputs: "Inputs | None" = None
     sources: "dict[str, Sequence[str]]" = field(default_factory=dict)
 
     def prepare_result(self, name: str, sources: Sequence[str], record: "FileRecord | None" = None) -> None:
@@ -80,12 +70,12 @@ class Execution:
         """Return where a run keeps what it has finished."""
         return self.invocation.out / f"{name}.partial"
 
-    def run(self, name: str, record: "FileRecord", sample: bool = False, file: Path | None = None) -> "Run":
+    def run(self, study: "StatedStudy", sample: bool = False) -> "Run":
         """Run one study or fit; where `stop` is true it stops early and is marked `interrupted`.
 
-        `sample`: whether the posterior of a fit is sampled by MCMC. Warnings name the study's `file`.
+        `sample`: whether the posterior of a fit is sampled by MCMC.
         """
-        from needlefit.studies.job import Inputs, Settings, run_study
+        from needlefit.studies.job import Settings, run_study
         from needlefit.studies.store import store_sources
 
         asked = self.invocation
@@ -93,28 +83,27 @@ class Execution:
             settings = Settings(
                 seed=asked.seed,
                 jobs=asked.jobs or count_cores(),
-                checkpoint=self.checkpoint(name),
+                checkpoint=self.checkpoint(study.name),
                 resume=asked.resume,
                 sample=sample,
                 progress=report,
                 stop=self.stop,
                 first=no_note if asked.quiet else print_remark,
                 note=self._print_note,
-                file=file,
-                inputs=self.inputs or Inputs(),
             )
-            run = run_study(name, record, settings)
-        sources = store_sources(self.sources.get(name, ()), self.folder(name))
+            run = run_study(study, settings)
+        sources = store_sources(self.sources.get(study.name, ()), self.folder(study.name))
         return replace(run, timing={**run.timing, **sources})
 
-    def run_kind(self, kind: str, name: str, **options: object) -> "Run":
-        """Run the study of a kind that options describe, and write its folder.
+    def run_kind(self, kind: str, name: str, inputs: "Inputs", **options: object) -> "Run":
+        """Run the study of a kind that options describe, and write its folder; `inputs` stand for its files.
 
         An interrupted one ends the command.
         """
+        from needlefit.studies.job import StatedStudy
         from needlefit.studies.kind import find_kind
 
-        run = self.run(name, find_kind(kind).make_record(**options))
+        run = self.run(StatedStudy(name, find_kind(kind).make_record(**options), inputs))
         if run.interrupted:
             raise self.interrupted()
         self.write(run)
@@ -199,30 +188,29 @@ def require_no_faults(faults: Iterable[str]) -> None:
 
 
 def _run_study(
-    execution: Execution, datasets: "Mapping[Path, Dataset]", work: StudyTask
+    execution: Execution, datasets: "Mapping[Path, Dataset]", work: "StatedStudy"
 ) -> "tuple[Run, list[str]]":
     """Run and write a study; it may do so in a copy of this process. An interrupted one is not written.
 
     `datasets`: by the files or folders that studies name. Also returns the notes that were printed.
     """
-    from needlefit.project.toml import add_file_context, find_named
+    from needlefit.project.toml import find_named
     from needlefit.schemas.study import FitRecord, StudyRecord
     from needlefit.studies.job import Inputs
 
-    noted, record, inputs = list[str](), work.record, execution.inputs
-    if isinstance(record, FitRecord):
-        inputs = Inputs(dataset=datasets[find_named("dataset", record.dataset)])
-    execution = replace(execution, invocation=replace(execution.invocation, noted=noted), inputs=inputs)
+    noted = list[str]()
+    if isinstance(work.record, FitRecord):
+        dataset = datasets[find_named("dataset", work.record.dataset)]
+        work = replace(work, inputs=Inputs(dataset=dataset))
+    execution = replace(execution, invocation=replace(execution.invocation, noted=noted))
     # a fit by itself is sampled as by `tune`; folds of studies are not
-    sample = not isinstance(record, StudyRecord)
-    with add_file_context(work.file):
-        run = execution.run(work.name, record, sample, work.file)
-        if not run.interrupted:
-            execution.write(run)
+    run = execution.run(work, sample=not isinstance(work.record, StudyRecord))
+    if not run.interrupted:
+        execution.write(run)
     return run, noted
 
 
-def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
+def run_studies(execution: Execution, todo: "Sequence[StatedStudy]") -> "list[Run]":
     """Run, write and print every work; their checkpoints stay. A dataset is read once for all.
 
     Several run side by side in as many copies of this process as there are jobs, the results are the same.

@@ -8,7 +8,7 @@ import typer
 
 from needlefit.cli import options, screen
 from needlefit.cli.before_data import predict_before_data
-from needlefit.cli.execution import StudyTask, begin, require_no_faults, run_studies, show_json_of, show_runs
+from needlefit.cli.execution import begin, require_no_faults, run_studies, show_json_of, show_runs
 from needlefit.cli.options import (
     argument,
     change_scene,
@@ -56,6 +56,7 @@ def tune(
     with begin(context) as execution:
         from needlefit.inference.parameter_changes import change_fit
         from needlefit.project.toml import add_file_context
+        from needlefit.studies.job import StatedStudy
         from needlefit.studies.study_files import load_target
 
         fit = load_target(target)
@@ -65,18 +66,17 @@ def tune(
             with add_file_context(file):
                 record, medium = change_fit(record, inputs.medium, free or [], values, str(file))
             name, inputs = f"{name}{name_parameters(free or [], values)}", replace(inputs, medium=medium)
-        execution = replace(execution, inputs=inputs)
         if design:
             about = f"{name.removesuffix('-tune')}-design"
             execution.prepare_result(about, fit.sources)
-            given = replace(execution, inputs=replace(inputs, target=(name, record)))
+            inputs = replace(inputs, target=(name, record))
             with add_file_context(file):
-                identified = given.run_kind("identification", about, target=target)
+                identified = execution.run_kind("identification", about, inputs, target=target)
             show_runs(execution, [identified])
             return
         with add_file_context(file):
             execution.prepare_result(name, fit.sources, None if inputs.dataset else record)
-            results = execution.run(name, record, sample=not no_sample)
+            results = execution.run(StatedStudy(name, record, inputs), sample=not no_sample)
         if results.interrupted and "fitted" not in set(results.frames["errors"]["method"]):
             raise execution.interrupted()  # nothing found yet: an earlier result stays
         execution.write(results)
@@ -111,18 +111,20 @@ def validate(
         from needlefit.project.locate import EVERY_STUDY, PAPER_FITS, find_file, find_studies
         from needlefit.project.toml import add_file_context, load
         from needlefit.schemas.study import FitRecord
+        from needlefit.studies.job import StatedStudy
         from needlefit.studies.store import name_source
         from needlefit.studies.study_files import load_study_file
 
         combined = [study] if study == EVERY_STUDY else []
-        fits = [(name, find_file("fit", name)) for name in PAPER_FITS if combined]
-        todo = [StudyTask(name, load_study_file(path), path) for name, path in find_studies(study)]
-        todo += [StudyTask(name, load(path, FitRecord), path) for name, path in fits]
-        names = [work.name for work in todo]
-        execution.prepare([*names, *combined], names)
+        files = dict(find_studies(study))
+        todo = [StatedStudy(name, load_study_file(path), file=path) for name, path in files.items()]
+        fits = {name: find_file("fit", name) for name in PAPER_FITS if combined}
+        todo += [StatedStudy(name, load(path, FitRecord), file=path) for name, path in fits.items()]
+        files |= fits
+        execution.prepare([*files, *combined], files)
         for work in todo:
             with add_file_context(work.file):
-                execution.prepare_result(work.name, [name_source(work.file)], work.record)
+                execution.prepare_result(work.name, [name_source(files[work.name])], work.record)
         runs = run_studies(execution, todo)
         if combined:
             from needlefit.studies.combined_report import write_combined
@@ -227,9 +229,10 @@ def predict(
         judged = execution.folder(target_name.removesuffix("-tune"))
         if run is None and is_file(judged / RESULTS_FILE):
             run = restore_run(judged)
-        predicted = replace(execution, inputs=replace(inputs, judged=run)).run_kind(
+        predicted = execution.run_kind(
             "prediction",
             name,
+            replace(inputs, judged=run),
             target=target,
             scene=planned,
             scene_name=scene_name,

@@ -174,12 +174,12 @@ def locate_key(path: Path, key: str) -> str:
 
 
 @contextmanager
-def add_file_context(path: Path) -> Iterator[None]:
-    """Have every ConfigError from within that names only a key name this file, too."""
+def add_file_context(path: Path | None) -> Iterator[None]:
+    """Have every ConfigError from within that names only a key name this file, too; None: of no file."""
     try:
         yield
     except ConfigError as error:
-        if not error.key:
+        if not error.key or path is None:
             raise
         located = error.at(locate_key(path, error.key))
         located.key = ""  # of this file: no other is looked through for it

@@ -29,7 +29,7 @@ from needlefit.project.processes import one_thread
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml import add_study_context, locate_key
+from needlefit.project.toml import add_file_context, add_study_context, locate_key
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
@@ -54,6 +54,16 @@ class Inputs:
     recipe: RecipeRecord | None = None
     posterior: Posterior | None = None  #: that was sampled of the target
     judged: Run | None = None  #: of the target whose verdict a prediction repeats
+
+
+@dataclass(frozen=True)
+class StatedStudy:
+    """A study or fit that is to be run: its keys, what stands for files that they name, and its own file."""
+
+    name: str  #: of its results
+    record: FileRecord
+    inputs: Inputs = Inputs()
+    file: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -183,8 +193,8 @@ def metric_recipe(recipe: RecipeRecord) -> RecipeRecord:
 
 
 @one_thread
-def run_study(name: str, record: FileRecord, settings: Settings) -> Run:
-    """Run a study of the kind of its record.
+def run_study(study: StatedStudy, settings: Settings) -> Run:
+    """Run a study of the kind of its record; its file and inputs take the place of those of `settings`.
 
     The same record, data, seed and versions give the same frames for any number of jobs, and after an
     interruption with `resume`. A run that is complete still has the lock of its checkpoint: the caller
@@ -194,8 +204,9 @@ def run_study(name: str, record: FileRecord, settings: Settings) -> Run:
     """
     begin, complete = time.time(), False
     try:
-        with add_study_context(name):
-            run: Run = kind_of(record).load("run").run(name, record, settings)
+        settings = replace(settings, file=study.file, inputs=study.inputs)
+        with add_file_context(study.file), add_study_context(study.name):
+            run: Run = kind_of(study.record).load("run").run(study.name, study.record, settings)
         complete = not run.interrupted
     except UnfinishedWorkError:
         raise

@@ -1,7 +1,6 @@
 """Load a study or fit: files, parameters, folds; refuse, before hours of work, what cannot be fitted."""
 
 from collections.abc import Iterator
-from contextlib import nullcontext
 from dataclasses import replace
 
 from needlefit.datasets.compared import describe_compared, find_left_planes, set_compared
@@ -51,7 +50,7 @@ def load_study(name: str, record: FitRecord, settings: Settings) -> Job:
     measured = given.dataset or read(find_named("dataset", record.dataset))
     recipe = choose_recipe(record, settings, measured)
     medium, medium_file = (given.medium, None) if given.medium else load_changed_medium(record)
-    with nullcontext() if medium_file is None else add_file_context(medium_file):
+    with add_file_context(medium_file):
         stated = search_freed(Parameters.from_record(medium), medium, record.free)
     hand_tuned = None
     if published is not None:

@@ -3,7 +3,6 @@
 import os
 import shlex
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -187,14 +186,13 @@ def prepare_target(record: TargetRecord, settings: Settings, ending: str = "") -
 
     It takes the place of "-tune".
     """
-    fit = settings.inputs.target
-    where: AbstractContextManager[None] = nullcontext()
+    fit, file = settings.inputs.target, None
     if fit is None:
         loaded = load_target(record.target)
-        fit, where = (loaded.name, loaded.record), add_file_context(loaded.file)
+        fit, file = (loaded.name, loaded.record), loaded.file
         settings = settings if loaded.run is None else replace(settings, inputs=loaded.inputs)
     name, fit_record = fit
-    with where:
+    with add_file_context(file):
         return load_study(name.removesuffix("-tune") + ending if ending else name, fit_record, settings)
 
 
