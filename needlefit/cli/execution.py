@@ -326,12 +326,11 @@ def show_next_steps(dataset: "Dataset", folder: Path) -> None:
         screen.print_note(f"then a prediction{of_medium}: {predict}")
 
 
-def show_runs(execution: Execution, runs: "Sequence[Run]", more: dict[str, object] | None = None) -> None:
-    """Print results: in words, or as JSON, with warnings on stderr."""
+def show_result(execution: Execution, run: "Run", more: dict[str, object] | None = None) -> None:
+    """Print a result: in words, or as JSON with `more` keys, with warnings on stderr."""
     if execution.invocation.json:
-        show_json_of(runs, more)
-    for run in runs:
-        show_run(execution.invocation, run, execution.folder(run.name), named=len(runs) > 1)
+        show_json_of([run], more)
+    show_run(execution.invocation, run, execution.folder(run.name))
 
 
 def show_json_of(runs: "Sequence[Run]", more: dict[str, object] | None = None) -> None:

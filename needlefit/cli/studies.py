@@ -8,7 +8,7 @@ import typer
 
 from needlefit.cli import options, screen
 from needlefit.cli.before_data import predict_before_data
-from needlefit.cli.execution import begin, require_no_faults, run_studies, show_json_of, show_runs
+from needlefit.cli.execution import begin, require_no_faults, run_studies, show_json_of, show_result
 from needlefit.cli.options import (
     argument,
     change_scene,
@@ -72,7 +72,7 @@ def tune(
             inputs = replace(inputs, target=(name, record))
             with add_file_context(file):
                 identified = execution.run_kind("identification", about, inputs, target=target)
-            show_runs(execution, [identified])
+            show_result(execution, identified)
             return
         with add_file_context(file):
             execution.prepare_result(name, fit.sources, None if inputs.dataset else record)
@@ -80,7 +80,7 @@ def tune(
         if results.interrupted and "fitted" not in set(results.frames["errors"]["method"]):
             raise execution.interrupted()  # nothing found yet: an earlier result stays
         execution.write(results)
-        show_runs(execution, [results])
+        show_result(execution, results)
         if results.interrupted:
             raise execution.interrupted()
         execution.remove_checkpoint(name)
@@ -239,5 +239,5 @@ def predict(
             posterior=str(tuned) if is_file(tuned / POSTERIOR_FILE) else None,
             specimen=specimen,
         )
-    show_runs(execution, [predicted], {"scene": scene, "written": str(execution.folder(name))})
+    show_result(execution, predicted, {"scene": scene, "written": str(execution.folder(name))})
     require_no_faults(f"{target_name}: {fault}" for fault in predicted.faults)
