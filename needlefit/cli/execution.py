@@ -1,5 +1,6 @@
 """Run studies as options state: progress, folders of results and checkpoints, what is printed of them."""
 
+import re
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -351,7 +352,7 @@ def show_warnings(invocation: Invocation, run: "Run") -> None:
             else:
                 located.append(warning)
             continue
-        file = warning.where.partition(", key ")[0].rpartition(":")[0] or warning.where.partition(", key ")[0]
-        is_there = file and (data / file).is_file()
+        file = re.sub(r"(:\d+)?(, key .*)?$", "", warning.where)
+        is_there = (data / file).is_file()
         located.append(replace(warning, where=str(data / warning.where)) if is_there else warning)
     screen.print_warnings(invocation, located)

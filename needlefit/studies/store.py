@@ -126,21 +126,18 @@ def read_run(folder: Path) -> dict[str, Any]:
     Raises DataError if its file is missing or damaged, or a value in it is of another type than needlefit
     writes.
     """
-    path = folder / RUN_FILE
-    table = read_json(path, MAX_RUN_BYTES)
-    if not isinstance(table, dict):
-        raise DataError("holds no table", where=path, expected="a JSON object", fix="run it again")
-    require_schema(table, RunTable, str(path))
-    return table
+    return _read_table(folder / RUN_FILE, RunTable)
 
 
 def read_timing(folder: Path) -> dict[str, Any]:
     """Return times and durations of a run, empty if it has no `timing.json`; DataError if that is damaged."""
     path = folder / TIMING_FILE
-    if not is_file(path):
-        return {}
+    return _read_table(path, TimingTable) if is_file(path) else {}
+
+
+def _read_table(path: Path, form: type[BaseModel]) -> dict[str, Any]:
     table = read_json(path, MAX_RUN_BYTES)
-    require_schema(table, TimingTable, str(path))
+    require_schema(table, form, str(path))
     return dict(table)
 
 
