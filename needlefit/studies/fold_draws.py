@@ -152,6 +152,7 @@ class Specimens:
     callbacks: Callbacks | None = None  #: of an ensemble that samples the population; None: by importance
     #: draws of the posterior of each specimen by itself, by its insertions; folds may share them
     posteriors: dict[tuple[str, ...], Draws] = field(default_factory=dict)
+    sets: dict[bytes, list[dict[str, float]]] = field(default_factory=dict)  #: by the thetas they are of
 
     @cached_property
     def tuned(self) -> dict[str, tuple[Insertion, ...]]:
@@ -233,6 +234,13 @@ class Specimens:
             return self._describe(self.population.new)
         tuned = self.population.tuned.get(insertion.specimen) if self.separate else None
         return self.draws if tuned is None else self._describe(tuned)
+
+    def list_sets(self, draws: Draws) -> list[dict[str, float]]:
+        """Return the values of the parameters of draws, once for all insertions that share these."""
+        key = draws.thetas.tobytes()
+        if key not in self.sets:
+            self.sets[key] = [self.job.parameters.values(theta) for theta in draws.thetas]
+        return self.sets[key]
 
     def mode_in(self, insertion: Insertion | None) -> Floats | None:
         """Return theta (P,) of the posterior mode: in the specimen of an insertion, in a new one of all."""

@@ -133,7 +133,7 @@ class _Predictor:
         # where needles are read: for the whole, about each sensor, and at a tip measured by itself
         ends = np.empty(0) if tip is None or tip is observation else tip.nodes.s[0]
         stations = [observation.nodes.s[0], surround_sensors(insertion), ends]
-        sets = [job.parameters.values(theta) for theta in draws.thetas]
+        sets = specimens.list_sets(draws)
         drawn_needles = self._simulate(insertion, np.concatenate(stations), *self._vary(insertion, sets))
         rng = random_stream(job.recipe.seed, job.name, fold.name, "scored", insertion.id)
         tuned = any(insertion.specimen == fitted.specimen for fitted in fold.tune)
