@@ -264,11 +264,10 @@ def with_predictions(results, levels=(0.1, 0.4, 0.7, 0.97)):
     for n, (_, one) in enumerate(held.iterrows()):
         level = levels[n % len(levels)]
         row = {name: one[name] for name in ("fold", "insertion", "specimen", "medium", "layers", "depth_mm")}
-        row |= {"draw_source": "importance", "certified": True, "draws": 100, "failed_solves": 0}
-        row |= {"hole": one["hole"]}
+        row |= {"draw_source": "importance", "certified": True, "hole": one["hole"]}
         tip, half = float(one["deflection_mm"]), 0.3
         row |= {"tip_measured_mm": tip, "tip_median_mm": tip, "tip_crps_mm": 0.1, "shape_crps_mm": 0.1}
-        row |= {"specimen_treatment": "same", "tip_interval_score_mm": 0.6, "tip_95_width_error_mm": 0.02}
+        row |= {"specimen_treatment": "same", "tip_95_width_error_mm": 0.02}
         for what in ("tip", "shape", "points"):
             row |= {f"{what}_pit": level, f"{what}_in_50": 0.25 <= level <= 0.75}
             row |= {f"{what}_in_95": 0.025 <= level <= 0.975}

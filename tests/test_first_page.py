@@ -1,13 +1,10 @@
 """The first page: its parts agree, and every output prints this one record."""
 
-import json
 import re
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
 from reporting_results import stereo, study, with_predictions
 from test_judge import with_tip_errors
@@ -16,15 +13,11 @@ from world import COMMANDS
 
 from needlefit.cli.execution import show_run
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
-from needlefit.project.toml import load
 from needlefit.reporting.document import compile_html
 from needlefit.reporting.figures import style
-from needlefit.schemas.run_metadata import FitMetadata
-from needlefit.schemas.study import StudyRecord
 from needlefit.studies.answer import Check, FaultKind, RunFault
 from needlefit.studies.combined_report import compose_overview
 from needlefit.studies.fit_tables import lay_out_matrix
-from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.report import (
     compose_first_page,
     compose_run_report,
@@ -32,9 +25,6 @@ from needlefit.studies.report import (
     run_to_json,
     write_report,
 )
-from needlefit.studies.run import Run
-
-PROJECT = Path(__file__).parents[1]
 
 TERMINAL = SimpleNamespace(explain=False, noted=(), warned=False, json=False)
 KINDS = ("point_outlier", "noise_too_large", "validity", "predictive_median", "placeholder")
@@ -94,39 +84,6 @@ def test_title_table_checks_and_advice_agree(seed, tmp_path, capsys):
     printed = " ".join(capsys.readouterr().out.split())
     assert printed.startswith(page.answer) and page.advice.words in printed
     assert printed.index(page.advice.words) < printed.index(page.method)
-
-
-def restore_shipped(number):
-    """Return a shipped study by its stored tables of errors and parameters, without intervals of its tips."""
-    folder = PROJECT / f"reports/reference/study{number}"
-    stated = json.loads((folder / "run.json").read_text("utf-8"))
-    counts = {key: {} for key in ("draws", "predicted")}
-    stated |= {"validity": {**counts, "limits": {}, "fitted_outside": 0}}
-    kind = stated.pop("kind")
-    frames = {name: pd.DataFrame(columns=list(columns)) for name, columns in FRAMES.items()}
-    for name in ("errors", "parameters"):
-        frame = pd.read_csv(folder / f"{name}.csv")
-        words = {"condition", "determined"} & {*frame.columns}
-        frames[name] = frame.assign(**{one: frame[one].astype(object).fillna("") for one in words})
-    return Run(
-        kind=kind,
-        name=f"study{number}",
-        record=load(PROJECT / f"studies/study{number}.toml", StudyRecord),
-        origin="synthetic",
-        dataset_title="",
-        frames=frames,
-        metadata=FitMetadata.model_validate(stated),
-        timing={},
-    )
-
-
-@pytest.mark.parametrize("number", range(1, 6))
-def test_title_table_checks_and_advice_of_shipped_studies_agree(number):
-    page = check_agreement(restore_shipped(number))
-    assert page.verdict.word == page.verdict.numbers["outcome"]
-    assert page.introduction.startswith(page.question) and page.question.endswith("?")
-    findings = {1: "predictable", 2: "predictable", 3: "other_medium_missed", 4: "other_medium_missed"}
-    assert page.advice.finding == findings.get(number, "result_doubtful")
 
 
 def test_a_second_figure_stands_on_the_first_page_too(world, tmp_path):
