@@ -103,6 +103,17 @@ def test_a_change_is_clear_if_it_is_150_times_as_probable_as_none_and_its_size_i
     assert found.is_clear == is_clear and found.size == pytest.approx(min(peak, 2.0))
 
 
+def test_a_boundary_is_not_clear_where_another_one_explains_as_much_by_what_cannot_be():
+    found = {"1": Deviation(math.inf, 16.0), "2": Deviation(0.0, 12.0)}
+
+    def search(change):
+        return {0.0: Deviation(0.0, 0.0), 5.0: found[change.where]}, 1.0
+
+    first, second = (Change("boundary", where=number, starts=(0.0, 5.0)) for number in found)
+    assert explain([second], search, 0.0).is_clear
+    assert not explain([first, second], search, 0.0).is_clear
+
+
 def test_a_needle_with_another_boundary_is_named():
     made = measure_needles(6)
     made[5] = replace(made[5], boundaries=made[5].boundaries + 12.0)
