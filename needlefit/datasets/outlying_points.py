@@ -47,11 +47,17 @@ def sd_of_points(insertion: Insertion, noise: Noise, rounding: float) -> Floats:
 
 def _measure_excess(pairs: Sequence[tuple[ListedInsertion, Floats]]) -> float:
     """Return the factor by which the points of all needles scatter more than their SDs, by the median."""
-    sizes = []
-    for entry, sd in pairs:
-        left, factor = leave_one_out(entry.insertion.points[:, 0], entry.insertion.points[:, 1:])
-        sizes.append(np.abs(left) / (factor * sd)[:, None])
+    sizes = [np.abs(measure_residuals(entry.insertion)) / sd[:, None] for entry, sd in pairs]
     return float(np.median(np.vstack(sizes)) / ndtri(0.75))
+
+
+def measure_residuals(insertion: Insertion) -> Floats:
+    """Return how far each point (N, 2) lies across the needle from the curve of its neighbours, mm.
+
+    Divided by the factor by which errors of the neighbours enlarge it: their SD is that of the points.
+    """
+    off, factor = leave_one_out(insertion.points[:, 0], insertion.points[:, 1:])
+    return off / factor[:, None]
 
 
 def _find_in_curve(entry: ListedInsertion, sd: Floats) -> Iterator[ResultWarning]:

@@ -9,9 +9,8 @@ from scipy.special import ndtri
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers import SAME_POINT_MM, Checked, ListedInsertion
-from needlefit.datasets.outlying_points import MIN_CURVE_POINTS
+from needlefit.datasets.outlying_points import MIN_CURVE_POINTS, measure_residuals
 from needlefit.datasets.points import find_rounding
-from needlefit.geometry.neighbours import leave_one_out
 from needlefit.project.result_warnings import ResultWarning
 
 #: plausible SDs of points, registration and entry pose, mm: a smaller one was written in another unit (the
@@ -31,8 +30,7 @@ def measure_scatter(insertion: Insertion) -> float:
     if len(insertion.points) < MIN_CURVE_POINTS:
         return math.nan
     is_flat = insertion.pose_source == "none" or float(np.ptp(insertion.points[:, 2])) < SAME_POINT_MM
-    left, factor = leave_one_out(insertion.points[:, 0], insertion.points[:, 1 if is_flat else 2, None])
-    return math.sqrt(np.mean((left[:, 0] / factor) ** 2))
+    return math.sqrt(np.mean(measure_residuals(insertion)[:, 0 if is_flat else 1] ** 2))
 
 
 def find_scatter_warnings(
@@ -88,11 +86,11 @@ def _measure_axes(listed: Sequence[ListedInsertion]) -> Floats:
     sizes: list[list[Floats]] = [[], [], []]
     for insertion in (entry.insertion for entry in listed):
         if len(insertion.points) >= MIN_CURVE_POINTS:
-            left, factor = leave_one_out(insertion.points[:, 0], insertion.points[:, 1:])
+            residuals = measure_residuals(insertion)
             across = insertion.frame.rotation[:, 1:]  # (3, 2)
             for axis in np.flatnonzero(np.linalg.norm(across, axis=1) > AXIS_COSINE):
                 if np.ptp(insertion.centerline[:, axis]) > 0:
-                    sizes[axis].append(np.abs(left @ across[axis]) / factor)
+                    sizes[axis].append(np.abs(residuals @ across[axis]))
     joined = [np.concatenate([np.empty(0), *some]) for some in sizes]
     medians = [np.median(some) if len(some) >= MIN_AXIS_POINTS else np.nan for some in joined]
     return np.array(medians) / ndtri(0.75)
