@@ -3,9 +3,11 @@
 A scanner shows the rod times its modulation transfer (`point_spread`). Coordinates are the needle's: s along
 it from the tip, u and v across.
 
-A slice that the end fills in part is darker than in proportion, for the detector averages intensities over
-the slice, not their logarithms (G. H. Glover and N. J. Pelc, Med. Phys. 7 (1980) 238-248). Without that, ten
-tips of needles across or oblique to slices of 0.6 to 2 mm were 0.10 mm short in the mean, with it 0.01.
+What the end, and its thin bevel, fill in part is darker than in proportion: the detector averages intensities
+over a cell and a slice, not their logarithms (G. H. Glover and N. J. Pelc, Med. Phys. 7 (1980) 238-248).
+Without that, ten tips of needles across or oblique to slices of 0.6 to 2 mm were 0.10 mm short in the mean,
+with it 0.01; for the slice alone 0.07. Of eight scans whose voxels average attenuations, as no scanner's do,
+tips are 0.09 mm too far with it, 0.05 without.
 
 Blur, overshoot, the slices' blur and the metal's height are fitted with the tip, held by what balls in the
 scan show of them and by what metal and scanners can have. So is the dark streak that rays along the shaft
