@@ -170,7 +170,7 @@ def _fit_edge(
     step, sd = float(np.median(np.diff(s))), np.sqrt(variance)
     if best[1] < step:
         sd = min(sd, step * np.sqrt(np.mean(left**2)) / (best[3] - best[2]))
-    return float(best[0]), float(np.hypot(min(sd, 2 * max(step, best[1]) / np.sqrt(12)), MM.EDGE_SD))
+    return float(best[0]), float(np.hypot(min(sd, max(step, best[1]) / np.sqrt(12)), MM.EDGE_SD))
 
 
 MIN_STEP_SD = 5.0  # deviations of its own noise that a step exceeds
