@@ -105,6 +105,7 @@ def test_faults_of_surfaces():
         )
     ]
     assert [len(faults) for faults in found] == [1] * 8 and len({faults[0] for faults in found}) == 8
+    assert "1" in found[3][0] and "2" in found[5][0]  # a hole, and two pieces
 
 
 def test_places_inside_a_solid_are_told_where_rays_meet_its_edges():

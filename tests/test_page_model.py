@@ -1,6 +1,7 @@
 """The needle that the page simulates, run in Node.js: the same bytes as the program's after every step."""
 
 import shutil
+import tomllib
 
 import numpy as np
 import pytest
@@ -58,17 +59,21 @@ console.log(JSON.stringify({found, band: computeBand(session, draws, steps)}))
 """
 
 
+SCENE = """
+schema = 1
+depth_mm = 40.0
+needle = { length_mm = 150.0, outer_diameter_mm = 1.27, youngs_modulus_gpa = 80.0 }
+guides = [{ x_mm = -25.0, y_mm = 0.0, name = "template" }]
+"""
+
+
 def view_scene(law, rules, bevel, shape):
     layers = [
         {"top_mm": 18.3 * n, "mu_pa": 2e5 * (1 + n), "thickness_mm": 30.0, "shape": one}
         for n, one in enumerate(shape)
     ]
-    guides = [{"x_mm": -25.0, "y_mm": 0.0, "name": "template"}]
-    record = SceneRecord.model_validate({
-        "schema": 1, "depth_mm": 40.0, "law": law, "rules": rules, "bevel": bevel, "layers": layers,
-        "needle": {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
-        "guides": guides,
-    })  # fmt: skip
+    changes = {"law": law, "rules": rules, "bevel": bevel, "layers": layers}
+    record = SceneRecord.model_validate(tomllib.loads(SCENE) | changes)
     return ViewedScene(name="a", title="A", note="", record=record, first_cell=0.6)
 
 
