@@ -1,6 +1,6 @@
 """What is proposed of a mapping, and what a person states of it: tables, values, what is open."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 from needlefit.datasets.importing.meanings import MEANINGS, QUESTIONS, VALUES, Answers, Keys, Pairs
@@ -15,34 +15,41 @@ KEYS = ("unit", "origin", "surfaces", *TABLE_KEYS, *MEANINGS)
 PARSED_PARTS = ("words", "sign")  # of a meaning; the others are texts
 
 
-class Assignments:
-    """The assignments by what they state: values of all needles, columns, keys of every table or of one.
+class Draft:
+    """A mapping that is proposed, what a person states of it, and what of it is assumed, open, or not used.
 
-    ConfigError if a key is not known.
+    `pairs`: keys that are stated, and their values. ConfigError if a key is not known.
     """
 
-    def __init__(self, pairs: Pairs = ()) -> None:
-        self.values = dict[str, str]()  # by meaning
-        self.columns = dict[str, Keys]()  # by meaning and part
-        self.table = Keys()  # keys of every table
-        self.numbered = list[tuple[str, str]]()  # `tables.2.sheet`
-        self.surfaces = list[str]()  # files of points that are planes between layers
+    def __init__(self, pairs: Pairs) -> None:
+        self.stated = dict[str, str]()  # values of all needles, by meaning
+        self.columns = dict[str, Keys]()  # stated ones, by meaning and part
+        self.table_keys = Keys()  # stated keys of every table
+        self.numbered = list[tuple[str, str]]()  # stated keys of one: `tables.2.sheet`
+        self.planes = list[str]()  # files of points that are planes between layers
         self.unit = self.origin = ""
+        self.tables = list[Keys]()  # keys of `TableRecord`
+        self.surfaces = list[str]()
+        self.assumed = dict[str, str]()
+        self.opens = list[Question]()
+        self.unused = list[tuple[str, str]]()  # what, and where it stands
+        self.ignored = dict[str, str]()  # why nothing is read of a file, or of its sheets
+        self.headers = list[str]()  # of all tables
+        self.columns_read = set[str]()  # meanings whose stated columns are there
+        self.needles = dict[tuple[str, str], set[str]]()  # names by file and sheet
         for key, text in pairs:
             head, _, part = key.partition(".")
             if key in VALUES:
-                self.values[key] = text
+                self.stated[key] = text
             elif key in ("unit", "origin"):
                 setattr(self, key, text)
             elif key == "surfaces":
-                self.surfaces += [name.strip() for name in text.split("|")]
+                self.planes += [name.strip() for name in text.split("|")]
             elif head == "tables":
                 self.numbered.append((key, text))
             elif key in TABLE_KEYS:
-                stated = override({}, [(key, text)], "--set")
-                if key == "unused":  # of several answers
-                    stated[key] = [*self.table.get(key, []), *stated[key]]
-                self.table |= stated
+                (value,) = override({}, [(key, text)], "--set").values()
+                self.table_keys[key] = [*self.table_keys.get(key, []), *value] if key == "unused" else value
             elif head in MEANINGS:
                 part = part or "column"
                 is_list = part == "column" and text.startswith("[")
@@ -56,24 +63,7 @@ class Assignments:
                     expected="a key of the mapping: needlefit explain mapping",
                     fix=f"did you mean {name_set(sort_by_similarity(head, KEYS)[0], text)}",
                 )
-
-
-@dataclass
-class Draft:
-    """A mapping that is proposed, and what of it is assumed, open, or not used."""
-
-    stated: Assignments
-    values: dict[str, str]
-    origin: str
-    tables: list[Keys] = field(default_factory=list)  # keys of `TableRecord`
-    surfaces: list[str] = field(default_factory=list)
-    assumed: dict[str, str] = field(default_factory=dict)
-    opens: list[Question] = field(default_factory=list)
-    unused: list[tuple[str, str]] = field(default_factory=list)  # what, and where it stands
-    ignored: dict[str, str] = field(default_factory=dict)  # why nothing is read of a file, or of its sheets
-    headers: list[str] = field(default_factory=list)  # of all tables
-    columns_read: set[str] = field(default_factory=set)  # meanings whose stated columns are there
-    needles: dict[tuple[str, str], set[str]] = field(default_factory=dict)  # names by file and sheet
+        self.values = {**self.stated}  # of all needles; setup sheets add theirs
 
     def ask(
         self,
@@ -104,7 +94,7 @@ class Draft:
         """Return the mapping, checked."""
         keys = {
             "schema": MappingRecord.SCHEMA,
-            "origin": self.origin,
+            "origin": self.origin or "measured",
             "surfaces": self.surfaces,
             "values": self.values,
             "assumed": self.assumed,

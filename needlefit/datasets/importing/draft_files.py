@@ -10,7 +10,7 @@ from pathlib import Path
 
 from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.formats.markups import MARKUPS, is_plane
-from needlefit.datasets.importing.draft import Assignments, Draft
+from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_table import TableDraft
 from needlefit.datasets.importing.examples import EXAMPLE_SHEET
 from needlefit.datasets.importing.kinds import KINDS
@@ -29,7 +29,6 @@ from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
-    Grid,
     Table,
     lay_out,
     read_sheets,
@@ -52,8 +51,7 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
 
     DataError of a file that cannot be read, or holds a dataset already.
     """
-    stated = Assignments(pairs)
-    draft = Draft(stated, dict(stated.values), stated.origin or "measured")
+    draft = Draft(pairs)
     files = [*_list_files(paths, draft)]
     if len(files) > MAX_CURVES:
         raise DataError(
@@ -63,10 +61,10 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
         )
     for path in files:
         suffix = path.suffix.lower()
-        if suffix in READ_SUFFIXES or path.name in stated.surfaces or is_plane(path):
+        if suffix in READ_SUFFIXES or path.name in draft.planes or is_plane(path):
             draft.surfaces.append(path.name)
         elif suffix in TEXT_SUFFIXES:
-            _draft_grid(*sniff_text(path, stated.table), draft)
+            _draft_grid(*sniff_text(path, draft.table_keys), draft)
         elif suffix in SHEET_SUFFIXES:
             _draft_workbook(path, draft)
         else:
@@ -74,27 +72,27 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
             draft.unused += [(remark, path.name) for remark in remarks]
             TableDraft(table, {"files": [path.name]}, draft).propose()
             _ask_markups(path.name, table, draft)
-    for meaning, parts in stated.columns.items():
+    for meaning, parts in draft.columns.items():
         if "column" in parts and draft.headers and meaning not in draft.columns_read:
             raise DataError(
                 f"no table has the column {parts['column']!r}, of which {meaning} is to be read",
                 expected=f"one of {', '.join(dict.fromkeys(draft.headers))}"[:400],
                 fix=name_set(f"{meaning}.column", sort_by_similarity(parts["column"], draft.headers)[0]),
             )
-    for key, text in stated.numbered:
+    for key, text in draft.numbered:
         pairs, (meaning, part) = [(key, text)], key.split(".")[-2:]
         if part == "column" and (unit := read_header(text).unit):
             pairs.insert(0, (f"{key.removesuffix(part)}unit", unit))
         (draft.tables,) = override({"tables": draft.tables}, pairs, "--set").values()
         for settled in (key.split(".")[2], meaning, f"unused.{text}"):
             draft.assumed.pop(settled, None)
-    if "specimen" not in {*stated.columns, *draft.values}:
+    if "specimen" not in {*draft.columns, *draft.values}:
         _ask_sources(draft)
     if not draft.opens and not any(KINDS[table["holds"]].placer for table in draft.tables):
         problem = "; ".join(
             f"{part}: {why}" for part, why in draft.unused if part.startswith(("table", "folder"))
         )
-        known = {*stated.columns}.union(*(table["columns"] for table in draft.tables))
+        known = {*draft.columns}.union(*(table["columns"] for table in draft.tables))
         needed = [key for key in ("depth", "deflection") if key not in known]
         numbers = [key.partition(".")[2] for key in draft.assumed if key.startswith("unused.")]
         for key in needed if len(needed) < 2 else "xy":
@@ -111,7 +109,7 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
 def _ask_markups(file: str, table: Table, draft: Draft) -> None:
     """Ask about a curve of Slicer with few points: they may be of a boundary."""
     key = f"tables.{len(draft.tables)}.holds"
-    is_open = file.endswith(MARKUPS.suffixes) and (key, "shapes") not in draft.stated.numbered
+    is_open = file.endswith(MARKUPS.suffixes) and (key, "shapes") not in draft.numbered
     for name, count in Counter(row[0] for row in table.rows if is_open).items():
         if count < MIN_POINTS:
             answers = {"needle": {key: "shapes"}, "boundary": {"surfaces": file}}
@@ -200,7 +198,7 @@ def _draft_workbook(path: Path, draft: Draft) -> None:
             _draft_grid(grid, keys, draft)
 
 
-def _states_values(grid: Grid) -> bool:
+def _states_values(grid: Table) -> bool:
     """Whether a sheet has a name and a value of all needles in each row, as `setup` of the workbook has."""
     if grid.sheet.lower().removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET:
         return True
@@ -209,7 +207,7 @@ def _states_values(grid: Grid) -> bool:
     return is_narrow and sum(name in VALUES for name in names) > 1
 
 
-def _draft_values(grid: Grid, keys: Keys, draft: Draft) -> None:
+def _draft_values(grid: Table, keys: Keys, draft: Draft) -> None:
     """Propose what a sheet of names and values states of all."""
     table = lay_out(grid, check(keys, TableRecord, grid.path))
     columns = dict[str, Keys]()
@@ -219,22 +217,22 @@ def _draft_values(grid: Grid, keys: Keys, draft: Draft) -> None:
         key = "_".join(plain.lower().replace("_", " ").split())
         key = key if key in VALUES or key == "origin" else find_meaning("column", plain)
         if key == "origin":
-            draft.origin = draft.stated.origin or text
+            draft.origin = draft.origin or text
         elif key in MAPPING_TEXTS:
             draft.values.setdefault(key, text)
         elif key not in VALUES:
             draft.unused.append((f"row {header} = {text}", f"{grid.path.name}, sheet {grid.sheet}"))
-        elif key not in draft.stated.values:
+        elif key not in draft.stated:
             columns[key] = {"column": header} | ({"unit": unit} if unit else {})
     if columns:
         draft.add(keys | {"columns": columns}, grid.path)
 
 
-def _draft_grid(grid: Grid, keys: Keys, draft: Draft) -> None:
+def _draft_grid(grid: Table, keys: Keys, draft: Draft) -> None:
     if not any(map(any, grid.rows)):
         draft.unused.append((f"sheet {grid.sheet}" if grid.sheet else f"file {grid.path.name}", "empty"))
         return
-    keys = propose_layout(grid, keys | draft.stated.table)
+    keys = propose_layout(grid, keys | draft.table_keys)
     table = lay_out(grid, check({"holds": "facts"} | keys, TableRecord, grid.path))
     draft.unused += [(f"line `{line}`"[:200], grid.path.name) for line in table.unread]
     TableDraft(table, keys, draft).propose()

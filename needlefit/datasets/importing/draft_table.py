@@ -55,7 +55,7 @@ class TableDraft:
     """Adds the entries of one table to a draft, and asks what it leaves open."""
 
     def __init__(self, table: Table, keys: Keys, draft: Draft) -> None:
-        self.table, self.keys, self.draft, self.stated = table, keys | draft.stated.table, draft, draft.stated
+        self.table, self.keys, self.draft = table, keys | draft.table_keys, draft
         self.name = table.sheet or table.path.name
         self.where = table.path.name + (f", sheet {table.sheet}" if table.sheet else "")
         parts = [
@@ -117,7 +117,7 @@ class TableDraft:
 
     def _take_stated(self) -> None:
         """Take the columns that are stated; those of other tables are not here."""
-        for meaning, parts in self.stated.columns.items():
+        for meaning, parts in self.draft.columns.items():
             names = [name.strip() for name in parts.get("column", "").split("|") if name]
             places = [self._find_stated(name) for name in names]
             if places and None not in places:
@@ -137,7 +137,7 @@ class TableDraft:
     def _take(self, meaning: str, columns: Sequence[Column]) -> None:
         """Let columns mean something, if nothing else does."""
         if columns and meaning not in self.taken:
-            is_one = meaning not in SEVERAL and "column" not in self.stated.columns.get(meaning, {})
+            is_one = meaning not in SEVERAL and "column" not in self.draft.columns.get(meaning, {})
             self.taken[meaning] = [*columns[:1]] if is_one else [*columns]
             self.used |= {column.place for column in self.taken[meaning]}
 
@@ -280,7 +280,7 @@ class TableDraft:
     @cached_property
     def are_deflections(self) -> bool:
         """Whether rows hold deflections at depths, not places."""
-        has_x = "deflection" not in self.stated.columns and any("x" in axes for axes in self.groups.values())
+        has_x = "deflection" not in self.draft.columns and any("x" in axes for axes in self.groups.values())
         return self.taken.keys() >= {"deflection", "depth"} and not has_x
 
     @cached_property
@@ -292,7 +292,7 @@ class TableDraft:
         columns = self.taken["deflection"]
         others = [column for column in self.list_free() if column.meaning == "deflection"]
         others += [column for axes in self.groups.values() for column in axes["y"]]
-        if others and "deflection" not in self.stated.columns:
+        if others and "deflection" not in self.draft.columns:
             self.ask_column("deflection", (*columns[:1], *others))
         if len(columns) == 1:
             return {"": {}}
@@ -408,7 +408,7 @@ class TableDraft:
         records = {meaning: self._spell(meaning, places) for meaning, places in columns.items()}
         if name:
             records.setdefault("needle", {"value": name})
-        for meaning, parts in self.stated.columns.items():
+        for meaning, parts in self.draft.columns.items():
             beside = {key: part for key, part in parts.items() if key != "column"}
             if meaning in records or (beside.keys() & {"source", "value"} and has_points):
                 records[meaning] = records.get(meaning, {}) | beside
@@ -428,7 +428,7 @@ class TableDraft:
     def _complete(self, meaning: str, record: Keys, columns: Sequence[Column]) -> None:
         """Add a unit that the header does not state, and words for the sides of bevels."""
         texts = dict.fromkeys(text for column in columns for text in column.texts)
-        unit, is_free = self.stated.unit, meaning in COORDINATES and self.table.system is None
+        unit, is_free = self.draft.unit, meaning in COORDINATES and self.table.system is None
         is_step = any(map(str.isdigit, unit))  # of a pixel: no unit of lengths in mm
         if unit and is_free and not (is_step and record.get("unit", "px") != "px"):
             record["unit"] = unit  # also beside a header that states another one

@@ -7,7 +7,7 @@ from itertools import groupby
 from pathlib import Path
 
 from needlefit.datasets.importing.meanings import MISSING, Keys, read_header
-from needlefit.datasets.importing.tables import MAX_TABLE_BYTES, Grid, decode, parse_number, split_text
+from needlefit.datasets.importing.tables import MAX_TABLE_BYTES, Table, decode, parse_number, split_text
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
 
@@ -24,7 +24,7 @@ _GROUPED = {
 Rows = Sequence[Sequence[str]]
 
 
-def sniff_text(path: Path, given: Keys) -> tuple[Grid, Keys]:
+def sniff_text(path: Path, given: Keys) -> tuple[Table, Keys]:
     """Return the cells of a text file, and how they are separated; `given`: what is stated of it."""
     data = read_bytes(path, MAX_TABLE_BYTES)
     encoding = given.get("encoding") or _find_encoding(data)
@@ -95,7 +95,7 @@ def _is_number(cell: str, decimal: str) -> bool:
 # ---- rows
 
 
-def propose_layout(grid: Grid, stated: Keys) -> Keys:
+def propose_layout(grid: Table, stated: Keys) -> Keys:
     """Return keys of a table with those of its rows."""
     keys = dict(stated)
     if "decimal" not in keys:  # texts in a sheet

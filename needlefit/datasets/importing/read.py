@@ -265,17 +265,20 @@ def pair_names(names: Iterable[str], others: Iterable[str]) -> dict[str, str]:
     """
     keys = {_make_key(other): other for other in others}
     pairs = {name: keys[key] for name in names if (key := _make_key(name)) in keys}
-    free = [other for other in keys.values() if other not in pairs.values()]
-    left = [name for name in dict.fromkeys(names) if name and name not in pairs]
-    likely = {name: [other for other in free if _lacks_word(name, other)] for name in left}
-    counts = Counter(other for others in likely.values() for other in others)
-    pairs |= {name: found[0] for name, found in likely.items() if [counts[other] for other in found] == [1]}
+    paired = {*pairs.values()}
+    free = {key: other for key, other in keys.items() if other not in paired}
+    left = {name: _make_key(name) for name in names if name and name not in pairs}
+    likely = {
+        name: [free[key] for key in free if _lacks_word(key, own_key)] for name, own_key in left.items()
+    }
+    counts = Counter(other for alike in likely.values() for other in alike)
+    pairs |= {name: alike[0] for name, alike in likely.items() if [counts[other] for other in alike] == [1]}
     return pairs
 
 
-def _lacks_word(name: str, other: str) -> bool:
-    """Whether one of two names is the other behind a word, or a number at its end."""
-    shorter, longer = sorted(map(_make_key, (name, other)), key=len)
+def _lacks_word(key: str, other: str) -> bool:
+    """Whether one of two keys is the other behind a word, or a number at its end."""
+    shorter, longer = sorted((key, other), key=len)
     word = longer.removesuffix(shorter)
     is_number = shorter.isdecimal() and not word[-1:].isdecimal()
     return word != longer and (is_number or _WORD.fullmatch(word) is not None)

@@ -50,8 +50,11 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([ed][-+]?\d+)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
-class Grid:
-    """The cells of a text file or of one sheet, as stripped text."""
+class Table:
+    """The cells of a text file or of one sheet, as stripped text; laid out, those below its headers.
+
+    Rows that are laid out have as many cells as there are headers; it has no `lines` where the file has none.
+    """
 
     path: Path
     rows: Sequence[Sequence[str]]  # blank rows are among them; rows may differ in length
@@ -59,6 +62,15 @@ class Grid:
     is_only_sheet: bool = False  # all other sheets of its workbook are empty
     lines: Sequence[int] = ()  # of the file, on which a row begins; empty: row n is line n
     is_transposed: bool = False  # its rows are columns of the file
+    headers: tuple[str, ...] = ()
+    places: Sequence[str] = ()  # of each row
+    decimal: str = "."
+    thousands: str = ""
+    system: PatientSystem | None = None  # of the scan, which the format states
+    unit: str = ""  # of lengths without one of their own, which the file states
+    first_headers: tuple[tuple[str, ...], ...] = ()  # texts of the rows of headers
+    remarked: tuple[str, ...] = ()  # last headers: of values that stand above the rows, in no column
+    unread: Sequence[str] = ()  # remarks, and lines above the headers, that state nothing of the needles
 
     @property
     def name(self) -> str:
@@ -76,25 +88,10 @@ class Grid:
             return f"{self.where}, {'column' if self.is_transposed else 'row'} {row + 1}"
         return f"{self.path}:{self.lines[row] if self.lines else row + 1}"
 
-    def transpose(self) -> "Grid":
-        """Return the grid whose rows are the columns of this one."""
+    def transpose(self) -> "Table":
+        """Return the table whose rows are the columns of this one."""
         rows = [[*row] for row in zip_longest(*self.rows, fillvalue="")]
-        return Grid(self.path, rows, self.sheet, self.is_only_sheet, is_transposed=True)
-
-
-@dataclass(frozen=True)
-class Table(Grid):
-    """Cells below their headers, of which each row has as many; without `lines` where the file has none."""
-
-    headers: tuple[str, ...] = ()
-    places: Sequence[str] = ()  # of each row
-    decimal: str = "."
-    thousands: str = ""
-    system: PatientSystem | None = None  # of the scan, which the format states
-    unit: str = ""  # of lengths without one of their own, which the file states
-    first_headers: tuple[tuple[str, ...], ...] = ()  # texts of the rows of headers
-    remarked: tuple[str, ...] = ()  # last headers: of values that stand above the rows, in no column
-    unread: Sequence[str] = ()  # remarks, and lines above the headers, that state nothing of the needles
+        return replace(self, rows=rows, lines=(), is_transposed=True)
 
     def find(self, name: ColumnName) -> int | None:
         """Return the column with a header or number; None if there is none, or several."""
@@ -134,7 +131,7 @@ def parse_number(text: str, decimal: str = ".", thousands: str = "") -> float | 
 # ---- lay a grid out
 
 
-def lay_out(grid: Grid, record: TableRecord) -> Table:
+def lay_out(grid: Table, record: TableRecord) -> Table:
     """Return the columns of a grid as its mapping states them.
 
     DataError if a row of headers is not there, or a row has more cells than the headers.
@@ -161,12 +158,10 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
             )
         blanks = [""] * (width - len(cells))
         rows.append([*cells[:width], *blanks, *(pairs.get(name, "") for name in names)])
-    table = Table(
-        grid.path,
-        rows,
-        grid.sheet,
-        grid.is_only_sheet,
-        [grid.lines[n] if grid.lines else n + 1 for n, *_ in body],
+    table = replace(
+        grid,
+        rows=rows,
+        lines=[grid.lines[n] if grid.lines else n + 1 for n, *_ in body],
         headers=(*(headers or [""] * width), *names),
         places=[grid.place(n) for n, *_ in body],
         decimal=record.decimal,
@@ -178,7 +173,7 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
     return table.fill_down(record.fill_down)
 
 
-def _read_heads(grid: Grid, record: TableRecord) -> list[list[str]]:
+def _read_heads(grid: Table, record: TableRecord) -> list[list[str]]:
     """Return the texts of the rows of headers; what stands above several columns is repeated."""
     if max(record.header_rows, default=0) > len(grid.rows):
         raise DataError(
@@ -212,7 +207,7 @@ OWN_PAIRS = ("needle", "depth", "bevel_side", "medium", "specimen")  #: they end
 
 
 def _list_body(
-    grid: Grid, record: TableRecord, unread: list[str]
+    grid: Table, record: TableRecord, unread: list[str]
 ) -> Iterator[tuple[int, Sequence[str], dict[str, str]]]:
     """Yield number and cells of the rows below the headers, and the pairs of names and values above each.
 
@@ -323,7 +318,7 @@ def _read_phrase(phrase: str, subject: str) -> tuple[str, str]:
 # ---- read files
 
 
-def read_grids(path: Path, record: TableRecord) -> tuple[Grid, ...]:
+def read_grids(path: Path, record: TableRecord) -> tuple[Table, ...]:
     """Return the grids of a text file, as its mapping states it, or of a workbook: one for each sheet."""
     if path.suffix.lower() in SHEET_SUFFIXES:
         return read_sheets(path)
@@ -348,7 +343,7 @@ def decode(data: bytes, path: Path, encoding: str) -> str:
     return text.removeprefix("\ufeff")
 
 
-def split_text(text: str, path: Path, separator: str) -> Grid:
+def split_text(text: str, path: Path, separator: str) -> Table:
     """Return the cells of a text; a cell in quotes may hold line breaks and separators."""
     lines = text.splitlines()
     check_extent(len(lines), 1, str(path), MAX_TABLE_CELLS)
@@ -373,7 +368,7 @@ def split_text(text: str, path: Path, separator: str) -> Grid:
                 where=f"{path}:{end + 1}",
             ) from None
     check_extent(len(rows), max(map(len, rows), default=0), str(path), MAX_TABLE_CELLS)
-    return Grid(path, rows, lines=starts)
+    return Table(path, rows, lines=starts)
 
 
 def _split_blanks(line: str) -> list[str]:
@@ -383,7 +378,7 @@ def _split_blanks(line: str) -> list[str]:
 
 
 @read_once
-def read_sheets(path: Path) -> tuple[Grid, ...]:
+def read_sheets(path: Path) -> tuple[Table, ...]:
     """Read every sheet of an Excel or OpenDocument workbook.
 
     DataError if the file is missing, too large, no workbook, or protected by a password.
@@ -394,7 +389,7 @@ def read_sheets(path: Path) -> tuple[Grid, ...]:
     sheets, _ = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
     is_only_sheet = sum(any(map(any, rows)) for _, rows in sheets) == 1
     return tuple(
-        Grid(path, [[*map(_to_text, row)] for row in rows], name, is_only_sheet=is_only_sheet)
+        Table(path, [[*map(_to_text, row)] for row in rows], name, is_only_sheet=is_only_sheet)
         for name, rows in sheets
     )
 
