@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from needlefit.cli import data, exit_codes, plan, reconstruct, results, simulate, studies, view
+from needlefit.cli import data, exit_codes, pages, reconstruct, results, simulate, studies
 from needlefit.cli.options import option, take_options
 
 _STUDY_OPTIONS = ("resume", "strict", "explain", "json", "quiet", "plugins")
@@ -16,10 +16,10 @@ COMMANDS: tuple[tuple[str, Callable[..., None], str, tuple[str, ...]], ...] = (
     ("validate", studies.validate, "study3", ("seed", "jobs", "out", "reference", *_STUDY_OPTIONS)),
     ("predict", studies.predict, "study3 --scene study3", ("seed", "jobs", "out", *_STUDY_OPTIONS)),
     ("simulate", simulate.simulate, "phantom1 --depth 60", ("strict", "json", "plugins")),
-    ("view", view.view, "figure1", ("out", "quiet", "plugins")),
+    ("view", pages.view, "figure1", ("out", "quiet", "plugins")),
     (
         "plan",
-        plan.plan,
+        pages.plan,
         "phantom2 --target 45,2 --obstacle 25,0.5,1",
         ("out", "jobs", "json", "quiet", "plugins"),
     ),
