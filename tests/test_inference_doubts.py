@@ -9,8 +9,9 @@ from inference_cases import TRUTH, dataset, insertion, measure, medium
 from inference_cases import problem as make_problem
 
 from needlefit.datasets.insertion import Noise
+from needlefit.inference import common_doubts
 from needlefit.inference.doubts import find_doubts
-from needlefit.inference.hypotheses import Change, Deviation, explain, search_sizes
+from needlefit.inference.hypotheses import Change, Deviation, Explanation, explain, search_sizes
 from needlefit.inference.linear_needles import fit_quickly
 
 DEPTHS = np.linspace(35.0, 65.0, 7)
@@ -112,6 +113,16 @@ def test_a_boundary_is_not_clear_where_another_one_explains_as_much_by_what_cann
     first, second = (Change("boundary", where=number, starts=(0.0, 5.0)) for number in found)
     assert explain([second], search, 0.0).is_clear
     assert not explain([first, second], search, 0.0).is_clear
+
+
+@pytest.mark.parametrize(("sd", "is_named"), [(0.8, True), (2.8, False)])
+def test_a_boundary_is_named_from_five_standard_deviations_on(monkeypatch, sd, is_named):
+    problem = make(measure_needles(7))
+    (change,) = common_doubts.list_boundary_shifts(problem)
+    found = Explanation(change, 12.6, sd, 0.0, 20.0, is_clear=True)
+    monkeypatch.setattr(common_doubts, "explain", lambda *_: found)
+    named = common_doubts.find_common(problem, problem.parameters.theta(TRUTH))
+    assert (named is not None) == is_named
 
 
 def test_a_needle_with_another_boundary_is_named():

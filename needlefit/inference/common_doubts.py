@@ -13,6 +13,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.compared import SIGNIFICANT_SD
+from needlefit.datasets.outlying_points import OUTLIER_SD
 from needlefit.inference.hypotheses import (
     ASIDE,
     HYPOTHESES,
@@ -97,7 +98,8 @@ def find_common(problem: Problem, theta: Floats) -> Explanation | None:
     found = explain([*in_plane, *aside], search, 0.0)
     if found is None or not found.is_clear:
         return None
-    least = max(MIN_SHIFT_MM, *(SIGNIFICANT_SD * insertion.boundary_sd for insertion in problem.insertions))
+    stated_sd = max(insertion.boundary_sd for insertion in problem.insertions)
+    least = max(MIN_SHIFT_MM, SIGNIFICANT_SD * stated_sd, OUTLIER_SD * found.sd)
     return found if not found.change.row.changes_model or abs(found.size) >= least else None
 
 
