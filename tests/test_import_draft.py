@@ -239,6 +239,21 @@ def test_needles_of_the_same_names_are_of_several_sheets_or_specimens(tmp_path):
     assert "needle" in prepared.mapping.assumed
 
 
+def test_a_text_of_names_and_values_holds_for_all_runs(tmp_path):
+    """Tips leave (10, 20, 30) mm along (0.6, 0.8, 0), 5 mm a reading, and bend by 2 mm along z."""
+    paths = [(10 + 3 * k, 20 + 4 * k, 30 + 0.02 * k * k) for k in range(1, 11)]
+    rows = [(f"r{n}", k, *point) for n in range(3) for k, point in enumerate(paths)]
+    tips = write_rows(tmp_path / "tips.csv", [["run", "time [s]", "x [mm]", "y [mm]", "z [mm]"], *rows])
+    setup = tmp_path / "setup.txt"
+    setup.write_text(
+        "entry point [cm]: 1, 2, 3\ninsertion direction: 0.6, 0.8, 0\nlayer boundary: 20 mm\nseen by: A\n"
+    )
+    prepared = prepare([tips, setup], holds="tracks")
+    assert [row.depth for row in prepared.plan.rows] == pytest.approx([50.0] * 3)
+    assert prepared.mapping.assumed.keys().isdisjoint({"pose", "entry_point", "boundaries"})
+    assert [curve.boundaries for curve in prepared.content.curves] == [(20.0,)] * 3
+
+
 @pytest.mark.parametrize("pose", ["1,0,0", "free"])
 def test_a_needle_that_bends_along_what_was_not_measured_is_refused(tmp_path, pose):
     def write(clocks, sd_z):

@@ -189,11 +189,6 @@ def _draft_workbook(path: Path, draft: Draft) -> None:
         keys: Keys = {"files": [path.name], "sheet": grid.sheet}
         if (grid in examples) == (are_filled or not examples):
             draft.unused.append((f"sheet {grid.sheet}", path.name))
-        elif _states_values(grid):
-            first = next((row[0] for row in grid.rows if any(row)), "")
-            is_head = find_meaning("column", split_unit(first)[0]) not in VALUES
-            keys |= {"layout": "pairs", "holds": "facts", "of": "all", "header_rows": [1] if is_head else []}
-            _draft_values(grid, keys, draft)
         else:
             _draft_grid(grid, keys, draft)
 
@@ -231,6 +226,12 @@ def _draft_values(grid: Table, keys: Keys, draft: Draft) -> None:
 def _draft_grid(grid: Table, keys: Keys, draft: Draft) -> None:
     if not any(map(any, grid.rows)):
         draft.unused.append((f"sheet {grid.sheet}" if grid.sheet else f"file {grid.path.name}", "empty"))
+        return
+    if _states_values(grid):
+        first = next(row[0] for row in grid.rows if any(row))
+        is_head = find_meaning("column", split_unit(first)[0]) not in VALUES
+        keys |= {"layout": "pairs", "holds": "facts", "of": "all", "header_rows": [1] if is_head else []}
+        _draft_values(grid, keys, draft)
         return
     keys = propose_layout(grid, keys | draft.table_keys)
     table = lay_out(grid, check({"holds": "facts"} | keys, TableRecord, grid.path))
