@@ -107,6 +107,11 @@ def test_the_probability_is_that_of_draws_that_the_plan_was_not_sought_with():
     assert 0.1 < found.probability < 1 and found.low < found.probability < found.high
 
 
+def test_turning_the_bevel_lowers_the_risk_of_an_uncertain_bevel():
+    straight, turned = (plan((45.0, 0.0), 0.5, start=uncertain(), turns=n) for n in (0, 2))
+    assert turned.turns and turned.probability > straight.probability + 0.1
+
+
 @pytest.mark.sweep
 def test_a_plan_goes_on_from_where_the_needle_stands():
     view = open_target("phantom2")

@@ -1,27 +1,34 @@
+import base64
+import hashlib
+import html
+import re
 from html.parser import HTMLParser
 
 import pytest
+from reporting_results import study
 
 from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_html, compile_pdf
 from needlefit.reporting.table import Table, TableColumn, TableLayout
 from needlefit.reporting.text import KindText
+from needlefit.studies.fit_figures import draw_overlays
+from needlefit.studies.report import compose_run_report
 
 
 class Outline(HTMLParser):
-    """The tags and words of a page; fails where tags do not close."""
+    """What a page is made of; fails where tags do not close."""
 
     VOID = ("meta", "img", "link", "br", "hr")
 
     def __init__(self, page):
         super().__init__()
-        self.open, self.tags, self.words = [], set(), []
+        self.open, self.tags, self.words = [], [], []
         self.feed(page.decode())
         self.close()
         assert self.open == []
 
     def handle_starttag(self, tag, attributes):
-        self.tags.add(tag)
+        self.tags.append((tag, dict(attributes)))
         if tag not in self.VOID:
             self.open.append(tag)
 
@@ -30,6 +37,45 @@ class Outline(HTMLParser):
 
     def handle_data(self, data):
         self.words.append(data)
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    one = study(5)
+    path = tmp_path_factory.mktemp("page") / "overlays.pdf"
+    drawn = {"overlays": draw_overlays(one).save(path, one.origin)}
+    return compile_html(compose_run_report(one, drawn)), one
+
+
+def test_the_page_needs_no_network(page):
+    outline = Outline(page[0])
+    assert all(image["src"].startswith("data:image/svg+xml,%3C") for image in outline.all("img"))
+    assert not outline.all("link") and not any("src" in script for script in outline.all("script"))
+    markup = re.sub(rb"<script.*?</script>", b"", page[0], flags=re.S)
+    assert not re.search(rb'(src|href)="(https?:)?//', markup) and b"@import" not in markup
+
+
+def test_every_script_is_named_by_the_policy(page):
+    text = page[0].decode()
+    scripts = re.findall(r'<script(?: id="program")?>(.*?)</script>', text, re.DOTALL)
+    digests = [base64.b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in scripts]
+    named = " ".join(f"'sha256-{digest}'" for digest in digests)
+    (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', text)
+    assert f"script-src {named} 'wasm-unsafe-eval'" in html.unescape(policy)
+    assert "default-src 'none'" in html.unescape(policy) and " http" not in policy
+
+
+def test_every_figure_and_table_can_be_reached_and_is_described(page):
+    outline = Outline(page[0])
+    ids = [attributes["id"] for _, attributes in outline.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert {link["href"][1:] for link in outline.all("a")} <= set(ids)
+    assert outline.all("html")[0]["lang"] == "en" and len(outline.all("h1")) == 1
+    assert all(image["alt"] and int(image["width"]) > 300 for image in outline.all("img"))
+    assert all(head["scope"] == "col" for head in outline.all("th"))
 
 
 def test_user_text_is_escaped():
@@ -42,7 +88,7 @@ def test_user_text_is_escaped():
     blocks = (document.heading("a & b"), document.table(display))
     content = compile_html(document.Document("<u>", "", False, blocks))
     outline = Outline(content)
-    assert not {"i", "u"} & outline.tags
+    assert not {"i", "u"} & {tag for tag, _ in outline.tags}
     assert b"<td" in content and b"<script></td>" not in content
     assert b"b<sup>\xe2\x88\x921.9</sup>" in content and "a & b" in outline.words
     assert "<script>" in outline.words and "<b>bold</b>" in "".join(outline.words)
