@@ -246,12 +246,14 @@ def test_a_text_of_names_and_values_holds_for_all_runs(tmp_path):
     tips = write_rows(tmp_path / "tips.csv", [["run", "time [s]", "x [mm]", "y [mm]", "z [mm]"], *rows])
     setup = tmp_path / "setup.txt"
     setup.write_text(
-        "entry point [cm]: 1, 2, 3\ninsertion direction: 0.6, 0.8, 0\nlayer boundary: 20 mm\nseen by: A\n"
+        "entry point [cm]: 1, 2, 3\ninsertion direction: 0.6, 0.8, 0\n"
+        "layer boundary: 20 mm\nneedle 18G, length 170 mm\n"
     )
     prepared = prepare([tips, setup], holds="tracks")
     assert [row.depth for row in prepared.plan.rows] == pytest.approx([50.0] * 3)
     assert prepared.mapping.assumed.keys().isdisjoint({"pose", "entry_point", "boundaries"})
     assert [curve.boundaries for curve in prepared.content.curves] == [(20.0,)] * 3
+    assert {curve.needle.length_mm for curve in prepared.content.curves} == {170.0}
 
 
 @pytest.mark.parametrize("pose", ["1,0,0", "free"])

@@ -205,6 +205,7 @@ def _states_values(grid: Table) -> bool:
 def _draft_values(grid: Table, keys: Keys, draft: Draft) -> None:
     """Propose what a sheet of names and values states of all."""
     table = lay_out(grid, check(keys, TableRecord, grid.path))
+    draft.unused += [(f"line `{line}`"[:200], grid.path.name) for line in table.unread]
     columns = dict[str, Keys]()
     for header, text in zip(table.headers, table.rows[0], strict=True):
         named, unit = split_unit(header)

@@ -168,7 +168,7 @@ def lay_out(grid: Table, record: TableRecord) -> Table:
         thousands=record.thousands,
         first_headers=tuple(map(tuple, heads)),
         remarked=tuple(names),
-        unread=unread if heads and not record.transposed else (),
+        unread=unread if (heads or record.layout == "pairs") and not record.transposed else (),
     )
     return table.fill_down(record.fill_down)
 
@@ -217,8 +217,14 @@ def _list_body(
     last = max(record.header_rows, default=0)
     heads = [*grid.rows[last - 1]] if 0 < last <= len(grid.rows) else []
     if record.layout == "pairs":
-        triples = [(*row, "", "", "")[:3] for row in grid.rows[last:]]
-        pairs = {f"{name} [{unit}]" if unit else name: text for name, text, unit in triples if name and text}
+        pairs = dict[str, str]()
+        for name, text, unit in ((*row, "", "", "")[:3] for row in grid.rows[last:]):
+            if name and text:
+                pairs[f"{name} [{unit}]" if unit else name] = text
+            elif name and record.separator:  # a line of a text, without a sign between name and value
+                stated, rest = read_statements([name], record, ())
+                pairs |= stated
+                unread += [rest] if rest else []
         yield 0, (), pairs
         return
     repeated = {n for n, row in enumerate(grid.rows) if record.blocks and [*row] == heads}
