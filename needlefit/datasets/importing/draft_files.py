@@ -217,7 +217,7 @@ def _draft_values(grid: Table, keys: Keys, draft: Draft) -> None:
         elif key in MAPPING_TEXTS:
             draft.values.setdefault(key, text)
         elif key not in VALUES:
-            draft.unused.append((f"row {header} = {text}", f"{grid.path.name}, sheet {grid.sheet}"))
+            draft.unused.append((f"row {header} = {text}", Path(grid.where).name))
         elif key not in draft.stated:
             columns[key] = {"column": header} | ({"unit": unit} if unit else {})
     if columns:
