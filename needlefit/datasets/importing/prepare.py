@@ -33,8 +33,8 @@ STATED_MM = (1.0, 2000.0)  # least and greatest length (mm) of the longest needl
 # of a remark: `0,085 mm/px`, `1 px = 0.085 mm`
 _LENGTH = r"(\d+(?:[.,]\d+)?) *([mcu]?m)"
 _SCALES = (
-    re.compile(rf"{_LENGTH} *(?:/|per|pro|par) *(?:px|pixel)"),
-    re.compile(rf"(?<![\d.,])1 *(?:px|pixel) *(?:=|:|≙) *{_LENGTH}"),
+    re.compile(rf"{_LENGTH} *(?:/|per|pro|par) *(?i:px|pixel)"),
+    re.compile(rf"(?<![\d.,])1 *(?i:px|pixel) *(?:=|:|≙) *{_LENGTH}"),
 )
 _GAUGE = re.compile(r"(?<![^\W_])(1\d|2\d|3[0-4]) ?G(?![^\W_])")  # of a name or a line: `22G x 150 mm`
 MAX_LENGTH_RATIO = 8.0  # of the longest needle and the shortest: of cm among mm it is near 10
