@@ -464,6 +464,8 @@ def test_the_share_of_covered_tips_stands_with_its_interval():
     # levels 0.1, 0.4, 0.7, 0.97: two within 50 %, four within 95 %; Wilson's intervals by hand
     found = tabulate_coverage(predictions)
     assert (found["tip_in_50"], found["tip_in_95"]) == ("2 (15–85 %)", "4 (51–100 %)")
+    unknown = tabulate_coverage(predictions.assign(tip_in_50=np.nan))  # of curvatures alone
+    assert (unknown["tip_in_50"], unknown["tip_in_95"]) == (None, "4 (51–100 %)")
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ COMMANDS: tuple[tuple[str, Callable[..., None], str, tuple[str, ...]], ...] = (
     (
         "plan",
         pages.plan,
-        "phantom2 --target 45,2 --obstacle 25,0.5,1",
+        "phantom2 --target 45,2 --obstacle 25,3,1",
         ("out", "jobs", "json", "quiet", "plugins"),
     ),
     ("explain", results.explain, "coverage", ("json", "plugins")),

@@ -235,9 +235,10 @@ COVERAGE_COLUMNS = (
 def tabulate_coverage(predictions: pd.DataFrame) -> Row:
     """Return the cells of `COVERAGE_COLUMNS` for some needles: shares within intervals, width, mean score.
 
-    Of curvatures alone no tip is known: those cells are left out.
+    Of curvatures alone no tip is known: those cells are empty.
     """
-    known = [name for name in COVERAGE_COLUMNS if "_in_" in name and predictions[name].notna().any()]
+    asked = [name for name in COVERAGE_COLUMNS if "_in_" in name]
+    known = [name for name in asked if predictions[name].notna().any()]
     proportions = {name: count_covered(predictions, name) for name in known}
     shares = {
         name: f"{proportion.hits} ({100 * proportion.low:.0f}–{100 * proportion.high:.0f} %)"
@@ -246,6 +247,7 @@ def tabulate_coverage(predictions: pd.DataFrame) -> Row:
         for name, proportion in proportions.items()
     }
     return {
+        **dict.fromkeys(asked),
         **shares,
         "insertions": len(predictions),
         "tip_95_width_mm": median_width(predictions),
