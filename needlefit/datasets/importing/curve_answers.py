@@ -77,28 +77,10 @@ class CurveAnswers:
         others: Sequence[ImportedCurve] = (),
     ) -> None:
         self.curves, self.others, self.surfaces = curves, others, surfaces
-        self.settler = settler
+        self.settler, self.settle = settler, settler.settle
         of_all = [*curves, *others]
         counts = Counter(key for curve in of_all for key in curve.stated)
         self.partly_stated = {key for key in counts if counts[key] < len(of_all)}
-
-    def settle(
-        self,
-        key: str,
-        usual: str | None = None,
-        reason: str = "",
-        fix: str = "",
-        where: str = "",
-        is_sure: bool = False,
-    ) -> Stated:
-        """Return the cell that every needle has alike, else what is settled: see `Settler.settle`."""
-        return self._find_shared(key) or self.settler.settle(key, usual, reason, fix, where, is_sure)
-
-    def _find_shared(self, key: str) -> Stated | None:
-        """Return the cell that every needle has alike; None if the mapping states the key, or some differ."""
-        cells = [curve.stated.get(key) for curve in (*self.curves, *self.others)]
-        is_shared = key not in self.settler.values and len({cell and cell.text for cell in cells}) == 1
-        return cells[0] if is_shared else None
 
     def each(self, key: str, usual: str | None = None, reason: str = "", is_sure: bool = False) -> Answers:
         """Return what holds of each needle: its own cell, else the value of all.
@@ -127,7 +109,7 @@ class CurveAnswers:
 
     def stated(self, key: str) -> str:
         """Return what the mapping, or the same cell of every needle, states of all; empty if nothing."""
-        shared = self._find_shared(key)
+        shared = self.settler.find_shared(key)
         return shared.text if shared else self.settler.values.get(key, "")
 
     def is_stated(self, key: str) -> bool:

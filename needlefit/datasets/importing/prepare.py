@@ -121,7 +121,8 @@ def _prepare(paths: Sequence[Path], assignments: Pairs, mapping: Path | None) ->
     if content.left_out:
         left_out = "; ".join(content.left_out)
         assumed["missing"] = f"points without a measured coordinate are left out: {left_out}"
-    settler = Settler(values, assumed, is_complete=mapping is not None)
+    cells = [curve.stated for curve in content.curves]
+    settler = Settler(values, assumed, cells, is_complete=mapping is not None)
     columns = [*_describe_columns(record, files)]
     plan = ImportPlan(content, settler)
     assumed = {key: assumed[key] for key in dict.fromkeys((*DECISIVE, *assumed)) if key in assumed}

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 
@@ -141,13 +142,14 @@ class UnansweredError(DataError):
 
 @dataclass
 class Settler:
-    """Settles what holds of all needles: as the mapping states it, else by a proposal.
+    """Settles what holds of all needles: by the mapping, a cell that all share, or else a proposal.
 
     What is settled becomes a value of the mapping; of a proposal that nobody stated `assumed` has the reason.
     """
 
     values: dict[str, str]  # of the mapping
     assumed: dict[str, str] = field(default_factory=dict)
+    cells: Sequence[Mapping[str, Stated]] = ()  # of every needle
     is_complete: bool = False  # nothing may be assumed: the mapping was written before
     # what was done with the curves, for the screen
     notes: list[tuple[str, str]] = field(default_factory=list)
@@ -167,6 +169,8 @@ class Settler:
 
         UnansweredError if there is no answer, DataError if it is none of those of the key.
         """
+        if shared := self.find_shared(key):
+            return shared
         meaning = VALUES[key]
         usual = meaning.usual if usual is None else usual
         reason = reason or meaning.reason
@@ -182,6 +186,12 @@ class Settler:
         if meaning.choices and stated.text not in meaning.choices:
             raise stated.error(key, f"one of {', '.join(meaning.choices)}")
         return stated
+
+    def find_shared(self, key: str) -> Stated | None:
+        """Return the cell that every needle has alike; None if the mapping states the key, or some differ."""
+        texts = {cells[key].text if key in cells else None for cells in self.cells}
+        is_shared = key not in self.values and len(texts) == 1
+        return self.cells[0].get(key) if is_shared else None
 
     def note(self, subject: str, text: str) -> None:
         """Keep what was done with the curves, for the screen."""
