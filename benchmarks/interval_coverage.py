@@ -11,6 +11,7 @@ Needles of one fit are one trial. Rows are kept; a run that was stopped goes on 
 """
 
 import argparse
+import sys
 import tomllib
 from contextlib import suppress
 from pathlib import Path
@@ -19,8 +20,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 
+sys.path.append(str(Path(__file__).resolve().parents[1] / "studies"))
+
+from synthetic import make_twin
+from synthetic.design import POPULATION, draw_specimen
+
 import needlefit
-from needlefit import Run, api
+from needlefit import Run
 from needlefit.datasets.first_study import describe_scene
 from needlefit.errors import NeedlefitError
 from needlefit.inference.forward_model import ParameterDraws
@@ -29,7 +35,6 @@ from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.planning.goals import Goal, find_hits
 from needlefit.planning.steering import plan_steering
 from needlefit.project.locate import find_file
-from needlefit.synthetic.design import POPULATION, draw_specimen
 from needlefit.viewer.opening import open_target
 
 SEED, LEVELS, TARGET_RADIUS_MM = 7800, (50, 95), 1.0
@@ -58,7 +63,7 @@ def read_calibration() -> pd.DataFrame:
 
 def test_study(study: str, seed: int, folder: str) -> list[dict]:
     """Return the rows of one dataset, which is written to a folder."""
-    twin = api.make_twin(f"{folder}/twin", seed, MEDIA[study], population=True)
+    twin = make_twin(f"{folder}/twin", seed, MEDIA[study], population=True)
     settings = {"dataset": twin, "recipe": {"metric": False}, "seed": seed}
     run = needlefit.validate(study, **settings)
     predictive = run.frames["predictive"]

@@ -34,6 +34,7 @@ from scanner.render import (
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from skimage.morphology import skeletonize
+from synthetic.design import PHANTOMS
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
@@ -41,7 +42,6 @@ from needlefit.imaging.needle.centerline import Centerline, trace_needle
 from needlefit.imaging.needle.segmentation import Component, principal_axes, select_needle
 from needlefit.imaging.volume import Volume, VoxelGrid, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.synthetic.design import PHANTOMS
 
 Floats = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """Fit, sample, predict and validate from Python; each returns a `Run`, as the commands write it.
 
 Inputs are names (of what ships, or lies in the working folder), paths, or records, tables and datasets in
-memory. Nothing is written but by `Run.save`, `make_twin`, `write_prior`, and with `checkpoint`.
+memory. Nothing is written but by `Run.save`, `write_prior`, and with `checkpoint`.
 """
 
 import math
@@ -18,7 +18,6 @@ from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
 from needlefit.datasets.folds import divide_insertions
@@ -148,93 +147,6 @@ def load_medium(name: Name) -> dict[str, Any]:
     """
     record, _ = read_given("medium", name, MediumRecord)
     return record.model_dump(mode="json", by_alias=True, exclude_none=True)
-
-
-def make_twin(folder: Name, seed: int, media: Sequence[str] = (), *, population: bool = False) -> Dataset:
-    """Write the synthetic dataset of another seed to `folder`, and return it.
-
-    It is measured as a scan would, but not rendered: a second for two insertions.
-
-    Parameters
-    ----------
-    folder : str or Path
-        A new folder for its files.
-    seed : int
-        Of specimens, bevels and errors of measurement; the plan of the 47 insertions is the same.
-    media : sequence of str
-        Insertions into these media only, such as `["chicken"]`.
-    population : bool
-        Whether the tissues, too, are drawn, from a wide population, instead of the paper's values.
-
-    Raises
-    ------
-    ConfigError
-        If there is no insertion into such a medium.
-    """
-    from needlefit.synthetic.build import build_dataset
-    from needlefit.synthetic.design import POPULATION, list_designs
-
-    plan = [design for design in list_designs() if not media or design.medium in media]
-    if missing := set(media) - {design.medium for design in plan}:
-        raise ConfigError(f"the twin has no insertions into {', '.join(sorted(missing))}")
-    return read(build_dataset(Path(folder), seed, plan, population=POPULATION if population else None))
-
-
-def find_twin_truth(problem: Problem, seed: int) -> dict[str, float]:
-    """Return the true moduli (Pa) and b (mm) of the insertions of a problem in a dataset of `make_twin`.
-
-    They are geometric means over the specimens, layers and bevels that a fit learns from. What the truth has
-    not is left out: hyperparameters, and exponents.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of insertions of the synthetic dataset, such as `make_problem("study1")`.
-    seed : int
-        That of `make_twin(..., population=True)`.
-    """
-    from needlefit.synthetic.design import (
-        POPULATION,
-        bevel_offset,
-        draw_deviations,
-        draw_specimen,
-        list_designs,
-    )
-
-    planned = {design.id: design for design in list_designs()}
-    fitted = [planned[insertion.id] for insertion in problem.insertions]
-    specimens = [draw_specimen(seed, design.medium, design.specimen, POPULATION) for design in fitted]
-    pairs = zip(specimens, fitted, strict=True)
-    true = {"bevel_mm": [bevel_offset(made, design, draw_deviations(seed, design)) for made, design in pairs]}
-    for name in (name for name in problem.parameters.names if name.startswith("mu")):
-        tied = [other for other, (_, source) in problem.parameters.ties.items() if source == name]
-        layers = [int(other.removeprefix("mu").removesuffix("_pa")) - 1 for other in (name, *tied)]
-        true[name] = [1e6 * made.mu[n] for made in specimens for n in layers if n < len(made.mu)]
-    return {name: float(np.exp(np.mean(np.log(values)))) for name, values in true.items() if values}
-
-
-def simulate_twin_needle(name: str, from_tip: ArrayLike) -> Floats:
-    """Return the points (N, 3) of a true needle of the shipped twin, world, mm: without any error.
-
-    Parameters
-    ----------
-    name : str
-        An insertion of the dataset `twin`, such as "phantom2-01".
-    from_tip : (N,) array_like
-        Arc lengths from the tip, mm.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such insertion.
-    """
-    from needlefit.synthetic.design import select_designs
-    from needlefit.synthetic.insertion import TWIN_SEED, needle_points, simulate_insertion
-
-    (planned,) = select_designs([name])
-    made = simulate_insertion(planned, TWIN_SEED)
-    shape, frame = made.true_insertion.shape, made.true_insertion.frame
-    return needle_points(shape, frame, made.deviations, shape.depth - np.asarray(from_tip, dtype=np.float64))
 
 
 def simulate_dataset(data: Table, medium: Medium, seed: int) -> Dataset:
@@ -438,7 +350,7 @@ def validate(
         A name such as `study3`, a path, or the keys of a study file.
     dataset : str, Path or Dataset, optional
         Of a study that fits and scores: another dataset, with insertions of the same names, such as
-        `make_twin(folder, 2)`.
+        `make_twin(folder, 2)` of `studies/synthetic`.
     medium : str, Path, MediumRecord or table, optional
         Another tissue model: `load_medium("phantom2") | {"tangent_part": 0.5}`.
     recipe : str, Path, RecipeRecord or table, optional

@@ -15,9 +15,10 @@ from tempfile import TemporaryDirectory
 
 import pandas as pd
 from calibration import place, run_truths
+from synthetic import find_twin_truth, make_twin
 
 import needlefit
-from needlefit.api import find_twin_truth, make_problem, make_twin
+from needlefit.api import make_problem
 
 MEDIA = {
     "study1": ["phantom2"],

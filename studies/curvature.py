@@ -15,9 +15,10 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from synthetic import simulate_twin_needle
 
 import needlefit
-from needlefit.api import Insertion, load_dataset, simulate_twin_needle
+from needlefit.api import Insertion, load_dataset
 
 TWIN = Path(__file__).resolve().parent.parent / "data/twin"
 SENSORS = np.array([0.1, 0.35, 0.6, 0.85])  # distances from the tip, in parts of the depth

@@ -18,9 +18,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pandas as pd
+from synthetic import make_twin
 
 import needlefit
-from needlefit.api import make_twin
 
 STUDIES, MEASURED = ("study2", "study3", "study5"), ("stereo_depth", "stereo_insertions")
 METHODS = {"prediction": "mode", "fitted_metric": "least errors", "b_alone": "b alone"}

@@ -18,10 +18,10 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from synthetic import make_twin
 from thin_gel import write_truth
 
 import needlefit
-from needlefit.api import make_twin
 
 TWIN_MEDIA = ("phantom1", "phantom2", "phantom3", "chicken")
 FITS = (*TWIN_MEDIA, "thin_gel")

@@ -30,7 +30,8 @@ from world import open_world  # noqa: E402
 
 TWIN = Path(__file__).parents[1] / "data" / "twin"
 
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))  # of their renderer of scans
+for folder in ("benchmarks", "studies"):  # of the renderer of scans, and of the synthetic dataset
+    sys.path.append(str(Path(__file__).parents[1] / folder))
 
 settings.register_profile("busy cores", deadline=None)  # the first example of a test also loads what it needs
 settings.load_profile("busy cores")

@@ -2,11 +2,11 @@
 
 import numpy as np
 from scanner.render import Needle3D, Scanner, Scene3D, densify, render_scan
+from synthetic.design import Phantom
 
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.synthetic.design import Phantom
 
 RECIPE = ReconstructionRecord(schema=2)
 SPACING = 0.46

@@ -1,22 +1,21 @@
 """The script of calibrations: right posteriors pass, and wrong ones are noticed."""
 
-import sys
 from pathlib import Path
 
+import calibration
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
 import scipy
 from pytest import approx
+from synthetic import find_twin_truth
+from synthetic.design import POPULATION, draw_deviations, draw_specimen, list_designs
 from test_simulated_data import small_problem
 
 from needlefit import api
-from needlefit.synthetic.design import POPULATION, draw_deviations, draw_specimen, list_designs
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "studies"))
-import calibration  # noqa: E402
 
 
 def summarize(rows):
@@ -76,6 +75,6 @@ def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fi
     planned = {one.id: one for one in list_designs()}
     deviations = [draw_deviations(9, planned[one.id]).bevel for one in problem.insertions]
     expected = specimen.bevel * np.exp(specimen.insertion_bevel_sd * np.mean(deviations))
-    truth = api.find_twin_truth(problem, 9)
+    truth = find_twin_truth(problem, 9)
     assert truth["bevel_mm"] == approx(expected) and expected != approx(specimen.bevel, rel=1e-4)
     assert truth["mu2_pa"] == approx(1e6 * specimen.mu[1]) and "alpha1" not in truth

@@ -8,13 +8,13 @@ import pytest
 from refusals import refusal
 from scanner.render import Needle3D, Scanner, Scene3D, SceneMarkers, render_scan
 from scipy.special import ndtr
+from synthetic.design import Phantom
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import make_entry_frame
 from needlefit.imaging.materials import find_rises, sample_profile
 from needlefit.imaging.reconstruction import IntensityProfile
 from needlefit.imaging.volume import require_hounsfield
-from needlefit.synthetic.design import Phantom
 
 S = np.arange(-30.0, 30.0, 0.5)
 

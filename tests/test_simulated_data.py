@@ -9,6 +9,8 @@ from inference_cases import NEEDLE, insertion, measure, medium
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
+from synthetic.build import build_dataset
+from synthetic.design import select_designs
 from track_cases import DEPTH, GUIDE, MEDIUM, TRUTH, track
 from track_cases import dataset as tracks
 from track_cases import problem as track_problem
@@ -31,8 +33,6 @@ from needlefit.inference.parameters import Parameters
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies.simulated_data import simulate_measurement
-from needlefit.synthetic.build import build_dataset
-from needlefit.synthetic.design import select_designs
 
 SEEN = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
 

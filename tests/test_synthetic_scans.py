@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 from numpy.testing import assert_allclose
 from scanner import twin
+from synthetic.insertion import TWIN_SEED
 
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.locate import shipped_folder
 from needlefit.project.tasks import THIS_PROCESS
-from needlefit.synthetic.insertion import TWIN_SEED
 
 SHIPPED = shipped_folder() / "data" / "sample_scan"
 

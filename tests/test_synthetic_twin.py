@@ -10,6 +10,10 @@ from numpy.testing import assert_allclose
 from pytest import approx
 from refusals import refusal
 from scanner.twin import build_scanned, expose
+from synthetic import design
+from synthetic.design import POPULATION, TRUE_MEDIA, list_designs, select_designs
+from synthetic.insertion import TWIN_SEED, simulate_insertion, stated_frame
+from synthetic.scans import WHOLE_BOX_SETUP
 
 import needlefit
 from needlefit.datasets.read import read
@@ -17,10 +21,6 @@ from needlefit.errors import ModelError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.project.locate import shipped_folder
 from needlefit.project.tasks import LocalPool
-from needlefit.synthetic import design
-from needlefit.synthetic.design import POPULATION, TRUE_MEDIA, list_designs, select_designs
-from needlefit.synthetic.insertion import TWIN_SEED, simulate_insertion, stated_frame
-from needlefit.synthetic.scans import WHOLE_BOX_SETUP
 
 TWIN = shipped_folder() / "data" / "twin"
 PACKAGE = Path(needlefit.__file__).parent

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scanner.render import ParallelBeam, make_back_projector
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.ndimage import map_coordinates
 
 from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame, normalize
 from needlefit.imaging.volume import Volume, VoxelGrid
+from scanner.render import ParallelBeam, make_back_projector
 
 TABLE_ENERGIES_KEV = np.array([30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 150.0])
 

@@ -10,12 +10,12 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
+from synthetic.design import BOX_MM, Phantom
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Frame, normalize
 from needlefit.imaging.volume import Volume, VoxelGrid
-from needlefit.synthetic.design import BOX_MM, Phantom
 
 WATER_PER_MM = 0.02  # attenuation of water at the energies of a cone-beam scanner, 1/mm
 

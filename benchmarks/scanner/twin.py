@@ -22,10 +22,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path += [str(Path(__file__).resolve().parents[2] / folder) for folder in ("benchmarks", "studies")]
 
-from scanner.render import Needle3D, Scanner, ScannerTable, Scene3D, SceneMarkers, densify, render_scan
-from scanner.write import write_volume
+from synthetic import design
+from synthetic.build import describe_dataset
+from synthetic.design import BOX_MM, TRUE_MEDIA, InsertionDesign, TrueSpecimen, list_designs, select_designs
+from synthetic.insertion import SUBLAYER_THICKNESS_MM, TRUTH_OPTIONS, SyntheticInsertion, simulate_insertion
+from synthetic.scans import (
+    RECIPE,
+    WHOLE_BOX_SETUP,
+    ScanSetup,
+    make_stated_scan,
+    place_insertion,
+    sample_whole_needle,
+    write_layers,
+)
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_COLUMNS, InsertionRow
@@ -40,31 +51,8 @@ from needlefit.project.progress import Progress, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool
 from needlefit.project.toml import dumps
-from needlefit.synthetic import design
-from needlefit.synthetic.build import describe_dataset
-from needlefit.synthetic.design import (
-    BOX_MM,
-    TRUE_MEDIA,
-    InsertionDesign,
-    TrueSpecimen,
-    list_designs,
-    select_designs,
-)
-from needlefit.synthetic.insertion import (
-    SUBLAYER_THICKNESS_MM,
-    TRUTH_OPTIONS,
-    SyntheticInsertion,
-    simulate_insertion,
-)
-from needlefit.synthetic.scans import (
-    RECIPE,
-    WHOLE_BOX_SETUP,
-    ScanSetup,
-    make_stated_scan,
-    place_insertion,
-    sample_whole_needle,
-    write_layers,
-)
+from scanner.render import Needle3D, Scanner, ScannerTable, Scene3D, SceneMarkers, densify, render_scan
+from scanner.write import write_volume
 
 SAMPLE_INSERTION = InsertionDesign("sample", "phantom2", "sample", 2, 2, 25.0, 0.0, 2.5, -3.0, 1)
 """A short insertion for the sample volume; it is none of the 47."""

@@ -306,7 +306,7 @@ class SourceRecord(FileRecord):
     source: str
     """Who measured, where it is published."""
     truth_seed: int | None = Field(default=None, ge=0, le=MAX_SEED)
-    """Of synthetic data: seed of `needlefit.api.make_twin`, from which the true parameters follow."""
+    """Of synthetic data: seed of `make_twin` (`studies/synthetic`), from which the true parameters follow."""
     truth_population: bool = False
     """Whether these were drawn from the population that `make_twin(..., population=True)` states."""
     truth: dict[str, float] = {}

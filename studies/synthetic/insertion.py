@@ -13,7 +13,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
-from needlefit.synthetic import design
+from synthetic import design
 
 MAX_POINT_SPACING_MM = 0.5  # distance between the points of a centreline, mm (at most)
 # A finer mesh than is fitted with (the constraint spacing is part of the model).

@@ -15,9 +15,9 @@ from needlefit.imaging.reconstruct import Examination, derive_reconstruction
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, Reconstruction
 from needlefit.imaging.registration import register
 from needlefit.project.random_streams import random_stream
-from needlefit.synthetic.design import InsertionDesign, TrueSpread, list_designs
-from needlefit.synthetic.insertion import SyntheticInsertion, simulate_insertion
-from needlefit.synthetic.scans import (
+from synthetic.design import InsertionDesign, TrueSpread, list_designs
+from synthetic.insertion import SyntheticInsertion, simulate_insertion
+from synthetic.scans import (
     RECIPE,
     WHOLE_BOX_SETUP,
     make_stated_scan,
@@ -53,7 +53,7 @@ def describe_dataset(seed: int, scanned: str, population: TrueSpread | None = No
         name="twin",
         title="Synthetic twin of the paper's 47 insertions",
         license="CC0-1.0",
-        source=f"needlefit.api.make_twin, seed {seed}",
+        source=f"studies/synthetic, make_twin, seed {seed}",
         truth_seed=seed,
         truth_population=population is not None,
         notes=DATASET_NOTES.format(scanned),

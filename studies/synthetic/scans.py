@@ -15,7 +15,7 @@ from needlefit.imaging.scans import LayerSource, Scan, StagePose
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.reconstruction import MarkersRecord, ReconstructionRecord, ScannedNeedleRecord
-from needlefit.synthetic.design import (
+from synthetic.design import (
     BOX_MM,
     NOMINAL_NEEDLE,
     PHANTOMS,
@@ -25,7 +25,7 @@ from needlefit.synthetic.design import (
     make_surfaces,
     surface_file_name,
 )
-from needlefit.synthetic.insertion import SyntheticInsertion, needle_points
+from synthetic.insertion import SyntheticInsertion, needle_points
 
 
 @dataclass(frozen=True)
