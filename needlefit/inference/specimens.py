@@ -212,12 +212,8 @@ class Specimen:
         factor = np.linalg.cholesky(self.kernel + covariances)
         whiten = np.linalg.inv(factor)
         volume = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
-        densities = np.empty((len(means), len(self.centres)))
-        for start in range(0, len(means), MEANS_AT_ONCE):
-            some = slice(start, start + MEANS_AT_ONCE)
-            white = whiten[some] @ self.centres.T - whiten[some] @ means[some, :, None]  # (W, Q, K)
-            densities[some] = -0.5 * np.sum(white**2, axis=1) - volume[some, None]
-        return densities
+        white = whiten @ self.centres.T - whiten @ means[:, :, None]  # (W, Q, K)
+        return np.asarray(-0.5 * np.sum(white**2, axis=1) - volume[:, None])
 
 
 def make_specimen(draws: Floats) -> Specimen:
@@ -264,15 +260,16 @@ class Population:
 
     def log_density(self, points: Floats) -> Floats:
         """Return the log posterior densities (W,) of points (W, Q + S), not normalised; -inf outside."""
-        inside = np.all((points >= self.lower) & (points <= self.upper), axis=1)
         density = np.full(len(points), -np.inf)
-        means, covariances = self.split(points[inside])
-        log_prior = self.model.log_prior(points[inside][:, means.shape[1] :])
-        log_prior = log_prior + self.log_stated(means)
-        for specimen in self.specimens:
-            logs = specimen.log_densities(means, covariances)
-            log_prior = log_prior + logsumexp(logs, axis=1) - np.log(logs.shape[1])
-        density[inside] = log_prior
+        inside = np.flatnonzero(np.all((points >= self.lower) & (points <= self.upper), axis=1))
+        for start in range(0, len(inside), MEANS_AT_ONCE):
+            some = inside[start : start + MEANS_AT_ONCE]
+            means, covariances = self.split(points[some])
+            logs = self.model.log_prior(points[some, means.shape[1] :]) + self.log_stated(means)
+            for specimen in self.specimens:
+                kernels = specimen.log_densities(means, covariances)
+                logs = logs + logsumexp(kernels, axis=1) - np.log(kernels.shape[1])
+            density[some] = logs
         return density
 
     def log_stated(self, points: Floats) -> Floats:
