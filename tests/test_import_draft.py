@@ -256,6 +256,20 @@ def test_a_text_of_names_and_values_holds_for_all_runs(tmp_path):
     assert {curve.needle.length_mm for curve in prepared.content.curves} == {170.0}
 
 
+@pytest.mark.parametrize("head", ["", "parameter,value,unit\n"])
+@pytest.mark.parametrize("signs", [",", ";", "\t", ": "])
+def test_the_first_of_names_and_values_may_end_in_a_word_that_is_a_unit(tmp_path, signs, head):
+    """`needle gauge` is no unit, and no header: 22G is 0.718 mm."""
+    curves = write_rows(tmp_path / "a.csv", [["needle", *"xyz"], *long_rows()])
+    lines = ["needle gauge,22G", "modulus,75 GPa", "layer 1 thickness,1 cm", "layer 2 thickness,15 mm"]
+    setup = tmp_path / "rig.csv"
+    setup.write_text("\n".join([head + lines[0], *lines[1:]]).replace(",", signs))
+    plan = prepare([curves, setup], pose="1,0,0").plan
+    assert plan.boundaries_mm == {"medium1": (10.0, 25.0)}
+    needle = plan.needle
+    assert (needle.outer_diameter_mm, needle.youngs_modulus_gpa) == pytest.approx((0.718, 75.0), abs=1e-3)
+
+
 @pytest.mark.parametrize("pose", ["1,0,0", "free"])
 def test_a_needle_that_bends_along_what_was_not_measured_is_refused(tmp_path, pose):
     def write(clocks, sd_z):

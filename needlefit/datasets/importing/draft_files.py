@@ -17,10 +17,10 @@ from needlefit.datasets.importing.kinds import KINDS
 from needlefit.datasets.importing.layout import propose_layout, sniff_text
 from needlefit.datasets.importing.meanings import (
     MEANINGS,
+    NAMED_BY_LAYER,
     VALUES,
     Keys,
     Pairs,
-    find_meaning,
     read_header,
     split_unit,
 )
@@ -30,6 +30,7 @@ from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
     Table,
+    is_like_number,
     lay_out,
     read_sheets,
     read_structured,
@@ -197,29 +198,31 @@ def _states_values(grid: Table) -> bool:
     """Whether a sheet has a name and a value of all needles in each row, as `setup` of the workbook has."""
     if grid.sheet.lower().removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET:
         return True
-    names = [find_meaning("column", split_unit(row[0])[0]) for row in grid.rows if any(row)]
-    is_narrow = max((sum(map(bool, row)) for row in grid.rows), default=0) == len(("name", "value"))
-    return is_narrow and sum(name in VALUES for name in names) > 1
+    names = [read_header(row[0]).meaning for row in grid.rows if any(row)]
+    width = max((sum(map(bool, row)) for row in grid.rows), default=0)
+    has_unit = width == 3 and not any(is_like_number(text) for row in grid.rows for text in row[2:])
+    return (width == 2 or has_unit) and sum(name in VALUES for name in names) > 1
 
 
 def _draft_values(grid: Table, keys: Keys, draft: Draft) -> None:
     """Propose what a sheet of names and values states of all."""
     table = lay_out(grid, check(keys, TableRecord, grid.path))
     draft.unused += [(f"line `{line}`"[:200], grid.path.name) for line in table.unread]
-    columns = dict[str, Keys]()
+    rows, columns = dict[str, list[str]](), dict[str, Keys]()
     for header, text in zip(table.headers, table.rows[0], strict=True):
         named, unit = split_unit(header)
-        plain, _ = split_unit(named)
-        key = "_".join(plain.lower().replace("_", " ").split())
-        key = key if key in VALUES or key == "origin" else find_meaning("column", plain)
+        name = read_header(split_unit(named)[0])
+        key = "_".join(name.text.lower().replace("_", " ").split())
+        key = key if key in VALUES or key == "origin" else name.meaning
         if key == "origin":
             draft.origin = draft.origin or text
         elif key in MAPPING_TEXTS:
             draft.values.setdefault(key, text)
-        elif key not in VALUES:
+        elif key not in (*VALUES, *NAMED_BY_LAYER):
             draft.unused.append((f"row {header} = {text}", Path(grid.where).name))
         elif key not in draft.stated:
-            columns[key] = {"column": header} | ({"unit": unit} if unit else {})
+            rows.setdefault(key, []).append(header)
+            columns[key] = {"column": rows[key], "unit": unit or name.unit}
     if columns:
         draft.add(keys | {"columns": columns}, grid.path)
 
@@ -230,7 +233,7 @@ def _draft_grid(grid: Table, keys: Keys, draft: Draft) -> None:
         return
     if _states_values(grid):
         first = next(row[0] for row in grid.rows if any(row))
-        is_head = find_meaning("column", split_unit(first)[0]) not in VALUES
+        is_head = read_header(first).meaning not in VALUES
         keys |= {"layout": "pairs", "holds": "facts", "of": "all", "header_rows": [1] if is_head else []}
         _draft_values(grid, keys, draft)
         return

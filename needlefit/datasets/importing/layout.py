@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 
-from needlefit.datasets.importing.meanings import MISSING, VALUES, Keys, find_meaning, read_header, split_unit
+from needlefit.datasets.importing.meanings import MISSING, VALUES, Keys, read_header
 from needlefit.datasets.importing.tables import MAX_TABLE_BYTES, Table, decode, parse_number, split_text
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
@@ -56,9 +56,9 @@ def sniff_text(path: Path, given: Keys) -> tuple[Table, Keys]:
 
 def _find_pair_sign(lines: Sequence[str]) -> str:
     """Return the sign that most lines have between the name and the value of a fact; empty if they do not."""
-    for sign in ":=":
-        pairs = [line.split(sign) for line in lines if line.count(sign) == 1]
-        names = [find_meaning("column", split_unit(name)[0]) for name, _ in pairs]
+    for sign in ":=;\t,":
+        pairs = [line.split(sign) for line in lines if line.count(sign) in (1, 2)]
+        names = [read_header(name).meaning for name, *_ in pairs]
         if 2 * len(pairs) > len(lines) and sum(name in VALUES for name in names) > 1:
             return sign
     return ""

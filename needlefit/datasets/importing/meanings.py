@@ -147,6 +147,8 @@ def find_meaning(kind: str, text: str) -> str:
 def split_unit(text: str) -> tuple[str, str]:
     """Return a header without its unit, and the unit: `x [mm]`, `x_mm`. One in brackets may be unknown."""
     text = INDEX.sub(r" \1 ", text)
+    if _BRACKET.search(text) is None and _look_up("column", _split(text))[0]:  # `needle gauge`: it is no unit
+        return text, ""
     brackets, ending = [*_BRACKET.finditer(text)], _ENDING.search(text)
     bracket = next(
         (bracket for bracket in brackets if find_meaning("unit", bracket[1])), next(iter(brackets), None)
@@ -166,8 +168,6 @@ def split_unit(text: str) -> tuple[str, str]:
 def read_header(text: str) -> Header:
     """Return what a header states."""
     plain, unit = split_unit(text)
-    if _BRACKET.search(text) is None and _look_up("column", _split(text))[0]:  # `needle gauge`: it is no unit
-        plain, unit = text, ""
     words = _split(plain)
     meaning, usual = _look_up("column", words)
     if not meaning:
