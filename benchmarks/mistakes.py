@@ -44,7 +44,7 @@ from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
-from needlefit.schemas.run_metadata import CommonDoubtMetadata
+from needlefit.schemas.run_metadata import DoubtMetadata
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.advice import list_contradictions
 from needlefit.studies.fit_warnings import warn_of_doubts
@@ -406,7 +406,7 @@ class Judgement:
     refusal: str = ""
     warnings: tuple[ResultWarning, ...] = ()
     doubts: tuple[tuple[str, str], ...] = ()  # needles and causes
-    shifted: tuple[CommonDoubtMetadata, ...] = ()  # boundaries that all needles put elsewhere
+    shifted: tuple[DoubtMetadata, ...] = ()  # boundaries that all needles put elsewhere
 
     def list_words(self):
         """Return all messages."""

@@ -170,6 +170,13 @@ def test_what_happened_to_all_needles_alike_is_named_with_its_size_and_none_is_a
     assert beside.cause == cause and beside.size == pytest.approx(size, abs=3 * beside.sd)
 
 
+def test_a_guide_that_gave_way_toward_the_bevels_is_no_boundary_elsewhere():
+    made = [one.with_points(one.points + np.array([0, 0.3 * one.side, 0])) for one in measure_needles(8)]
+    problem = make(made)
+    found = find_doubts(problem, fit_quickly(problem))
+    assert list(found.odd) == [] and found.common is None
+
+
 def test_bevels_that_all_face_one_way_do_not_tell_a_turn_of_all_from_an_error_of_the_model():
     made = [replace(one, side=1).with_points(one.points * [1, one.side, 1]) for one in measure_needles(1)]
     turned = [one.with_points(one.points + np.outer(one.points[:, 0], [0, 0.03, 0])) for one in made]

@@ -2,7 +2,8 @@
 
 A boundary that lies elsewhere changes the model: all needles are fitted again, and it is named only where
 errors alone are left, of parameters that a soft tissue and a bevel have. Where the law of the tissue is
-another, stiff layers and flat cuts may describe the needles.
+another, stiff layers and flat cuts may describe the needles; where the guide, or tissue at the entry, gave
+way toward the bevels, another boundary may: that is asked too, and not named.
 """
 
 import math
@@ -32,7 +33,6 @@ from needlefit.inference.linear_needles import Prediction, fit_quickly, lineariz
 from needlefit.inference.plausible import list_implausible
 from needlefit.inference.posterior_density import KnownPoints
 from needlefit.inference.problem import Problem
-from needlefit.project.unit_warnings import LENGTH_UNITS
 
 #: least shift of a boundary that is named: beside one a needle bends over (EI / mu)^(1/4), 6 to 15 mm, and an
 #: error of the model looks like a shift by a part of it
@@ -96,7 +96,7 @@ def find_common(problem: Problem, theta: Floats) -> Explanation | None:
     in_plane = () if is_one_sided else (*_list_poses(problem, IN_PLANE), *list_boundary_shifts(problem))
     aside = _list_poses(problem, ASIDE) if problem.dataset.directions == 2 else ()
     found = explain([*in_plane, *aside], search, 0.0)
-    if found is None or not found.is_clear:
+    if found is None or not found.is_clear or found.change.cause == "given_way":
         return None
     stated_sd = max(insertion.boundary_sd for insertion in problem.insertions)
     least = max(MIN_SHIFT_MM, SIGNIFICANT_SD * stated_sd, OUTLIER_SD * found.sd)
@@ -106,8 +106,8 @@ def find_common(problem: Problem, theta: Floats) -> Explanation | None:
 def _list_poses(problem: Problem, axis: int) -> Iterator[Change]:
     """Yield turns and shifts of all needles; shapes of unknown pose are aligned: they change nothing."""
     for cause, row in HYPOTHESES.items() if problem.dataset.pose != "free" else ():
-        if (size := row.common_size) is not None:
-            yield Change(cause, axis, starts=(-size, 0.0, size), cost=LOG_FITTED)
+        if row.common_sizes and (row.axes or axis == IN_PLANE):
+            yield Change(cause, axis, starts=row.common_sizes, cost=LOG_FITTED)
 
 
 def list_boundary_shifts(problem: Problem) -> Iterator[Change]:
@@ -122,10 +122,6 @@ def list_boundary_shifts(problem: Problem) -> Iterator[Change]:
     for where, (number, deepest) in boundaries.items():
         ends = np.array([0.0, *deepest.boundaries, max(insertion.depth for insertion in insertions)])
         low, stated, high = ends[number : number + 3]
-        depths = [factor * stated for factor in LENGTH_UNITS.values()]
-        units = {float(depth - stated) for depth in depths if stated < depth < high}
         evenly = np.linspace(low, high, START_SIZES)[1:-1] - stated
         cost = LOG_FITTED + math.log(len(boundaries))
-        yield Change(
-            "boundary", IN_PLANE, where, (number, deepest), {0.0, *units, *evenly.tolist()}, units, cost
-        )
+        yield Change("boundary", IN_PLANE, where, (number, deepest), {0.0, *evenly.tolist()}, cost)

@@ -17,7 +17,6 @@ from needlefit.datasets.compared import leaves_plane
 from needlefit.datasets.outlying_points import MAX_OUTLYING_PART, OUTLIER_SD
 from needlefit.inference.common_doubts import change_all, find_common
 from needlefit.inference.hypotheses import (
-    ASIDE,
     HAPPENED_LOG_ODDS,
     PREDICTED_SD,
     Change,
@@ -36,7 +35,7 @@ from needlefit.inference.linear_needles import (
     refit,
 )
 from needlefit.inference.problem import Problem
-from needlefit.schemas.run_metadata import CommonDoubtMetadata, NeedleDoubtMetadata
+from needlefit.schemas.run_metadata import DoubtMetadata
 
 #: by so many, at most, it is sought what happened to all alike: eight of benchmarks/mistakes.py show it
 COMMON_NEEDLES = 30
@@ -45,10 +44,10 @@ COMMON_NEEDLES = 30
 class Doubts(NamedTuple):
     """The needles that a fit to the others does not predict, the oddest first."""
 
-    odd: Sequence[NeedleDoubtMetadata] = ()
+    odd: Sequence[DoubtMetadata] = ()
     #: how many of how many needles deviate, where so many do that the model does not fit
     deviating: tuple[int, int] | None = None
-    common: CommonDoubtMetadata | None = None  #: what may have happened to all needles alike
+    common: DoubtMetadata | None = None  #: what may have happened to all needles alike
 
 
 def find_doubts(problem: Problem, theta: Floats, *, seeks_common: bool = True) -> Doubts:
@@ -64,7 +63,7 @@ def find_doubts(problem: Problem, theta: Floats, *, seeks_common: bool = True) -
         return Doubts()
     odd = list[int]()
 
-    def describe(k: int) -> NeedleDoubtMetadata | None:
+    def describe(k: int) -> DoubtMetadata | None:
         return _describe(problem, k, theta, predictions[k], sds[k])
 
     while True:
@@ -118,7 +117,7 @@ def _find_shared(problem: Problem, theta: Floats, odd: set[str]) -> Doubts | Non
 
 def _describe(
     problem: Problem, number: int, theta: Floats, predicted: Prediction, sds: float
-) -> NeedleDoubtMetadata | None:
+) -> DoubtMetadata | None:
     """Return what is known of a needle, given what the others predict; None if it is not odd.
 
     It is if it lies too far from its prediction, or farther than most and something is far more probable than
@@ -149,36 +148,26 @@ def _describe(
     log_odds = found.log_odds if found else 0.0
     if is_near and log_odds < HAPPENED_LOG_ODDS:
         return None
-    cause = found.change if found and found.is_clear else None
+    cause = found.change.describe(found.size, found.sd) if found and found.is_clear else {}
     within_bounds = np.clip(predicted.theta, problem.lower, problem.upper)
     ((simulated, measured),) = replace(problem, insertions=(left_out,)).points(within_bounds)
     points = np.column_stack(
         [measured[:, 0], left_out.side * measured[:, 1], left_out.side * simulated[:, 1]]
     )
-    return NeedleDoubtMetadata(
+    return DoubtMetadata(
         insertion=left_out.id,
         place=left_out.where.rpartition("/")[2],
         sds=sds,
         log_odds=log_odds,
-        cause=cause.cause if cause else "",
-        aside=cause is not None and cause.axis == ASIDE,
-        size=cause.row.report(found.size) if found and cause and cause.row.sizes else None,
-        where=cause.where if cause else "",
         points=points.round(3).tolist(),
+        **cause,
     )
 
 
-def _describe_common(found: Explanation) -> CommonDoubtMetadata:
+def _describe_common(found: Explanation) -> DoubtMetadata:
     """Return what is known of what happened to all needles alike."""
     change, stated = found.change, None
     if change.row.changes_model:
         number, deepest = change.choice
         stated = float(deepest.boundaries[number])
-    return CommonDoubtMetadata(
-        cause=change.cause,
-        aside=change.axis == ASIDE,
-        where=change.where,
-        size=found.size,
-        sd=found.sd,
-        stated=stated,
-    )
+    return DoubtMetadata(**change.describe(found.size, found.sd), stated=stated)

@@ -50,8 +50,7 @@ class Hypothesis(NamedTuple):
     reaches_tip: bool = True  #: whether the points do
     changes_model: bool = False  #: whether another needle is simulated
     report: Callable[[float], float] = float  #: the size -> the number that is reported
-    #: up to which all needles alike may be changed so, in the world's frame, mm or degrees
-    common_size: float | None = None
+    common_sizes: tuple[float, ...] = ()  #: by which all needles alike may be changed so, mm or degrees
 
 
 class Change(NamedTuple):
@@ -62,7 +61,6 @@ class Change(NamedTuple):
     where: str = ""  #: what was chosen: the number of a point or boundary, or another needle
     choice: Any = None
     starts: Collection[float] = (0.0,)  #: sizes from which the search begins
-    units: Collection[float] = ()  #: sizes that cost the choice among them alone
     cost: float = 0.0  #: of its numbers, as log odds
 
     @property
@@ -70,14 +68,14 @@ class Change(NamedTuple):
         """What may have happened."""
         return HYPOTHESES[self.cause]
 
+    def describe(self, size: float, sd: float) -> dict[str, Any]:
+        """Return what `DoubtMetadata` states of it, by the likeliest size, of such an SD."""
+        about = {"cause": self.cause, "aside": self.axis == ASIDE, "where": self.where}
+        return about | ({"size": self.row.report(size), "sd": sd} if self.row.sizes else {})
+
     def apply(self, insertion: Insertion, size: float) -> Insertion:
         """Return the insertion as it may have been."""
         return self.row.change(insertion, size, self.axis, self.choice)
-
-    def compute_odds(self, size: float, left: Deviation) -> float:
-        """Return log odds that count the numbers that were fitted."""
-        cost = math.log(len(self.units)) if size in self.units else self.cost
-        return left.log_density / left.misfit - cost
 
 
 #: a change -> deviations of needles changed so, by size, and the SD of the likeliest size
@@ -105,6 +103,10 @@ def _turn(insertion: Insertion, degrees: float, axis: int, _: None) -> Insertion
 def _shift(insertion: Insertion, size: float, axis: int, first: int | None) -> Insertion:
     shift, begin = size * np.eye(3)[axis], insertion.points[first, 0] if first else -math.inf
     return insertion.map_points(lambda points: points - np.outer(points[:, 0] >= begin, shift))
+
+
+def _give_way(insertion: Insertion, size: float, axis: int, first: None) -> Insertion:
+    return _shift(insertion, insertion.side * size, axis, first)
 
 
 def _find_step(insertion: Insertion, _: Sequence[Insertion], axis: int) -> dict[str, int]:
@@ -158,8 +160,10 @@ HYPOTHESES: Mapping[str, Hypothesis] = {
         report=math.exp,
         log_volume=lambda size, count: -count * size,
     ),
-    "turned": Hypothesis(_turn, (-15.0, 15.0), (IN_PLANE, ASIDE), common_size=5.0),
-    "shifted": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), common_size=5.0),
+    "turned": Hypothesis(_turn, (-15.0, 15.0), (IN_PLANE, ASIDE), common_sizes=(-5.0, 0.0, 5.0)),
+    "shifted": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), common_sizes=(-5.0, 0.0, 5.0)),
+    # no mistake: a guide, or soft tissue at the entry, gives way toward the bevel
+    "given_way": Hypothesis(_give_way, axes=(), common_sizes=(0.0, 2.5, 5.0)),
     "stepped": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), _find_step),
     "boundary": Hypothesis(_move_boundary, (-30.0, 30.0), list_choices=list_boundaries, changes_model=True),
     "of_another": Hypothesis(_take_points, list_choices=_list_deeper, reaches_tip=False, changes_model=True),
@@ -175,7 +179,7 @@ def list_changes(insertion: Insertion, others: Sequence[Insertion], directions: 
             for where, choice in choices.items():
                 is_fitted = row.sizes is not None or where != ""
                 cost = LOG_FITTED + math.log(len(choices)) if is_fitted else 0.0
-                yield Change(cause, axis, where, choice, starts, (), cost)
+                yield Change(cause, axis, where, choice, starts, cost)
 
 
 def explain(changes: Iterable[Change], search: Search, nothing: float) -> Explanation | None:
@@ -186,7 +190,8 @@ def explain(changes: Iterable[Change], search: Search, nothing: float) -> Explan
     rows = list[Explanation]()
     for change in changes:
         deviations, sd = search(change)
-        odds = {size: change.compute_odds(size, left) - nothing for size, left in deviations.items()}
+        paid = change.cost + nothing
+        odds = {size: left.log_density / left.misfit - paid for size, left in deviations.items()}
         size = max(odds, key=lambda size: odds[size])
         sd *= math.sqrt(deviations[size].misfit)
         rows.append(Explanation(change, size, sd, deviations[size].sds, odds[size]))

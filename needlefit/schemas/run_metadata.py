@@ -133,30 +133,22 @@ class DepthMetadata(_Metadata):
     factor_per_mm: float  #: of this parameter
 
 
-class NeedleDoubtMetadata(_Metadata):
-    """A needle that the fit to the others does not predict, and what may have happened to it."""
+class DoubtMetadata(_Metadata):
+    """A needle that the fit to the others does not predict, or all alike: what may have happened."""
 
-    insertion: str
+    insertion: str = ""  #: empty of all alike
     place: str = ""  #: file and line of its row
-    sds: float  #: its distance from the prediction, in standard deviations
+    sds: float = 0.0  #: its distance from the prediction, in standard deviations
     log_odds: float = 0.0  #: that something happened to it, of a table of hypotheses
-    cause: str  #: a key of `HYPOTHESES` in `inference/hypotheses.py`; empty where none explains it
+    cause: str = ""  #: a key of `HYPOTHESES` in `inference/hypotheses.py`; empty where none explains it
     aside: bool = False  #: whether out of the plane of its bevel
-    size: float | None = None  #: the number that was fitted: a factor, mm or degrees
+    #: the number that was fitted: a factor, mm or degrees; of all toward +y or +z of their frames, or deeper
+    size: float | None = None
+    sd: float | None = None  #: of it; of a factor, of its logarithm
     where: str = ""  #: the number of the point or boundary, or the other needle, by this cause
+    stated: float | None = None  #: depth of the boundary that all put elsewhere, mm
     #: along the entry, and deflections toward the bevel as measured and as the others predict them, mm
     points: list[tuple[float, float, float]] = []
-
-
-class CommonDoubtMetadata(_Metadata):
-    """What may have happened to all needles alike."""
-
-    cause: str  #: a key of `HYPOTHESES` in `inference/hypotheses.py`
-    aside: bool = False  #: whether out of the plane of their bevels
-    where: str = ""  #: the number of the boundary
-    size: float  #: mm or degrees, toward +y or +z of their frames, or deeper
-    sd: float  #: of it
-    stated: float | None = None  #: depth of the boundary, mm
 
 
 class EffectMetadata(_Metadata):
@@ -235,11 +227,11 @@ class FitMetadata(JobMetadata):
     new_bevel_sd: dict[str, float]  #: by fold: by how many SDs the bevel of a further insertion deviates
     search_faults: dict[str, list[str]]  #: by fold: why the best point may not be the best
     stated_depths: list[DepthMetadata] = []
-    odd_needles: list[NeedleDoubtMetadata] = []
+    odd_needles: list[DoubtMetadata] = []
     effect: EffectMetadata | None = None  #: of the odd needles
     #: how many of how many needles the others do not predict, where the model does not fit
     deviating: tuple[int, int] | None = None
-    common_doubt: CommonDoubtMetadata | None = None
+    common_doubt: DoubtMetadata | None = None
     medians: list[MedianMetadata] = []
     #: of shapes of unknown pose: by parameter the factor between the ends of its 95 % interval if the
     #: directions of insertion were stated

@@ -12,7 +12,7 @@ from needlefit.inference.linear_needles import fit_quickly
 from needlefit.inference.problem import Problem
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.columns import HEIGHT_COLUMNS, INSERTION_KEYS
-from needlefit.schemas.run_metadata import NeedleDoubtMetadata
+from needlefit.schemas.run_metadata import DoubtMetadata
 from needlefit.studies.job import Job
 
 
@@ -54,7 +54,7 @@ def join_folds(job: Job) -> Problem:
     return job.problem(Fold("all", tuple(fitted.values()), ()))
 
 
-def draw_odd_needles(odd: Sequence[NeedleDoubtMetadata]) -> Drawing:
+def draw_odd_needles(odd: Sequence[DoubtMetadata]) -> Drawing:
     """Return each of the needles beside what the others predict."""
     heads = {("all", needle.insertion): f"{needle.sds:.2g} SD" for needle in odd}
     columns = [*INSERTION_KEYS, "curve", "x_mm", *HEIGHT_COLUMNS]

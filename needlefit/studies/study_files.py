@@ -19,7 +19,7 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.deciding import select_deciding
 from needlefit.schemas.origin import Origin
-from needlefit.schemas.run_metadata import AnalysisMetadata, NeedleDoubtMetadata
+from needlefit.schemas.run_metadata import AnalysisMetadata, DoubtMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_warnings import warn_of_doubts
 from needlefit.studies.identity import describe_configuration, identify
@@ -91,7 +91,7 @@ class StudyCheck:
     folds: tuple[tuple[int, int], ...] = ()
     warnings: tuple[ResultWarning, ...] = ()  #: about the data and the study
     origin: Origin = "measured"  #: of the data
-    odd: Sequence[NeedleDoubtMetadata] = ()  #: needles that a quick fit to the others does not predict
+    odd: Sequence[DoubtMetadata] = ()  #: needles that a quick fit to the others does not predict
 
 
 @one_thread
