@@ -179,6 +179,7 @@ def met(**changed):
         wanted=400,
         burn_in=3,
         failures=2,
+        apart=np.array([0.2, 0.4]),
     )
     return replace(fine, **changed)
 
@@ -206,7 +207,7 @@ def test_the_file_reads_back_equal_and_has_equal_bytes(tmp_path):
             save(posterior, tmp_path / name)
         assert (tmp_path / "one.nc").read_bytes() == (tmp_path / "two.nc").read_bytes()
         back = load(tmp_path / "one.nc")
-        arrays = ("draws", "log_posterior", "acceptance_fraction", "r_hat", "autocorrelation_time")
+        arrays = ("draws", "log_posterior", "acceptance_fraction", "r_hat", "autocorrelation_time", "apart")
         for name in arrays:
             assert np.array_equal(getattr(back, name), getattr(posterior, name), equal_nan=True)
         for name in ("names", "wanted", "burn_in", "failures", "interrupted"):
