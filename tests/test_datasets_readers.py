@@ -138,3 +138,15 @@ def test_readings_that_scatter_more_or_less_than_their_stated_noise_contradict_i
     (tmp_path / "dataset.toml").write_text(TOML)
     found = inspect(tmp_path)
     assert not found.faults and [one.kind for one in found.warnings].count("noise") == count
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_two_runs_with_the_same_readings_are_copies(tmp_path, seed):
+    depth, rows = np.arange(0.0, 62.0, 2.0), ""
+    for run, noise in (("r", 2), ("s", seed)):
+        tip = 1e-3 * depth**2 + np.random.default_rng(noise).normal(0.0, 0.02, len(depth))
+        rows += "".join(f"{run},gel,{d},{x:.5f},0,1\n" for d, x in zip(depth, tip, strict=True))
+    (tmp_path / "steps.csv").write_text(HEAD + rows)
+    (tmp_path / "dataset.toml").write_text(TOML)
+    copies = [one.insertions for one in inspect(tmp_path).warnings if one.kind == "copy"]
+    assert copies == ([("s", "r")] if seed == 2 else [])

@@ -22,7 +22,7 @@ from needlefit.datasets.layers import Checked
 from needlefit.datasets.needle_warnings import (
     find_bevel_warnings,
     find_constant_warnings,
-    find_copy_warnings,
+    find_copied_curves,
     find_entry_warnings,
     find_order_warnings,
     find_repeated_warnings,
@@ -61,7 +61,7 @@ MEASURED: tuple[Check, ...] = (
     find_curvature_warnings,  # "curvature": read curvatures with the tip; SIGNIFICANT_SD
     find_order_warnings,  # "reversed": whether last points lie in a plane and first ones do not
     find_interpolated_warnings,  # "interpolated": fourth differences of points with those of few of them
-    find_copy_warnings,  # "copy": equal coordinates of two needles; OUTLIER_SD, by Bonferroni
+    find_copied_curves,  # "copy": equal coordinates of two needles; OUTLIER_SD, by Bonferroni
     find_constant_warnings,  # "axis_unit": a coordinate of one value that varies along most needles
     find_repeated_warnings,  # "copy": the distance of two needles with their errors; MIN_LOG_ODDS, Bonferroni
     find_noise_warnings,  # "no_noise", "noise": stated SDs with bends and scatter; SCATTER_RATIOS

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.special import bdtrc, ndtr
 
+from needlefit.arrays import Floats
 from needlefit.datasets.bend_sides import measure_bends
 from needlefit.datasets.compared import MAX_NAMED_INSERTIONS, MIN_BEND_SLOPE, MIN_LOG_ODDS, compute_entry_sd
 from needlefit.datasets.insertion import Insertion, Noise
@@ -56,7 +57,7 @@ def find_repeated_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """
     listed, noise = checked.curves, checked.noise
     is_assumed = any(key in checked.assumed for key in ("pose_shift_sd", "pose_angle_sd"))
-    if is_assumed or not _is_finer_than_noise(checked):
+    if is_assumed or not _is_finer_than_noise([entry.points.values for entry in listed], noise):
         return
     scatters = [scatter for entry in listed if (scatter := measure_scatter(entry.insertion)) > 0]
     sd = min(noise.point_sd, math.hypot(*scatters) / math.sqrt(max(1, len(scatters))))
@@ -85,16 +86,24 @@ def _weigh_repeated(earlier: ListedInsertion, later: ListedInsertion, sd: float)
     return float(squares / 2 + np.linalg.slogdet(of_two)[1])  # of two axes
 
 
-def find_copy_warnings(checked: Checked) -> Iterator[ResultWarning]:
-    """Yield a warning for each two needles with the same points, or the same coordinate across.
+def find_copied_curves(checked: Checked) -> Iterator[ResultWarning]:
+    """Yield a warning for each two curves with the same points, or the same coordinate across."""
+    listed = [(entry.insertion, entry.where, entry.points.values) for entry in checked.curves]
+    return find_copy_warnings(listed, checked.noise)
+
+
+def find_copy_warnings(
+    listed: Sequence[tuple[Insertion, str, Floats]], noise: Noise
+) -> Iterator[ResultWarning]:
+    """Yield a warning for each two insertions, of places and points, with the same points, or the same
+    coordinate across.
 
     Errors alone make rounded coordinates differ: they are equal with a probability of at most the step over
     2 sqrt(pi) SD.
     """
-    if not _is_finer_than_noise(checked):
+    values = [points for *_, points in listed]
+    if not _is_finer_than_noise(values, noise):
         return
-    listed, noise = checked.curves, checked.noise
-    values = [entry.points.values for entry in listed]
     step = max(find_rounding(values), SAME_POINT_MM)
     chance = min(1.0, step / (2 * math.sqrt(math.pi) * noise.point_sd)) if noise.point_sd else 1.0
     least_chance = ndtr(-OUTLIER_SD) / max(1, math.comb(len(values), 2))  # of any two needles
@@ -103,8 +112,8 @@ def find_copy_warnings(checked: Checked) -> Iterator[ResultWarning]:
     for points, row in zip(values, padded, strict=True):
         row[: len(points)] = points
     places = [set(map(tuple, (points / SAME_POINT_MM).round().tolist())) for points in values]
-    for n, later in enumerate(listed):
-        entry = later.insertion.frame.rotation[:, 0]
+    for n, (later, where, _) in enumerate(listed):
+        entry = later.frame.rotation[:, 0]
         same = np.sum(np.abs(padded[:n] - padded[n]) < SAME_POINT_MM, axis=1)  # (n, 3)
         common = np.minimum(counts[:n], counts[n])[:, None]
         # along the needles all may be sampled alike, and what does not vary is no measurement
@@ -114,12 +123,12 @@ def find_copy_warnings(checked: Checked) -> Iterator[ResultWarning]:
             if is_copy := places[m] <= places[n] or places[n] <= places[m]:
                 axes[:] = True
             if axes.any():
-                names = (later.insertion.id, listed[m].insertion.id)
+                names = (later.id, listed[m][0].id)
                 count = len(places[m] & places[n]) if is_copy else same[m, axes].min()
                 named = " and ".join(np.array(list("xyz"))[axes])
                 what = f"{' and '.join(names)} have the same {named} at {count} points"
                 fix = "look whether one was exported twice"
-                yield ResultWarning("copy", what, later.where, fix, names)
+                yield ResultWarning("copy", what, where, fix, names)
                 break  # of ten equal needles nine are copies of the first, not 45 pairs
 
 
@@ -139,9 +148,9 @@ def find_order_warnings(checked: Checked) -> Iterator[ResultWarning]:
 
 def find_constant_warnings(checked: Checked) -> Iterator[ResultWarning]:
     """Yield a warning for each needle with one value in a coordinate that varies along most others."""
-    if not _is_finer_than_noise(checked):
-        return
     listed = checked.curves
+    if not _is_finer_than_noise([one.points.values for one in listed], checked.noise):
+        return
     varies = np.mean([np.ptp(one.points.values, axis=0) > 0 for one in listed], axis=0) > 0.5  # (3,)
     for one in listed:
         for axis in np.flatnonzero(varies & (np.ptp(one.points.values, axis=0) == 0)):
@@ -178,8 +187,6 @@ def find_bevel_warnings(checked: Checked) -> Iterator[ResultWarning]:
     yield from find_side_warnings(pairs, checked.noise, column)
 
 
-def _is_finer_than_noise(checked: Checked) -> bool:
+def _is_finer_than_noise(values: Sequence[Floats], noise: Noise) -> bool:
     """Whether points are rounded by less than their noise: else those of two needles may well be equal."""
-    values = [curve.points.values for curve in checked.curves]
-    rounding = find_rounding(values) if values else math.inf
-    return rounding <= max(checked.noise.point_sd, checked.noise.correlated_sd)
+    return bool(values) and find_rounding(values) <= max(noise.point_sd, noise.correlated_sd)

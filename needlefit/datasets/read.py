@@ -32,7 +32,7 @@ from needlefit.datasets.layers import (
     read_shared_surfaces,
     reduce_insertion,
 )
-from needlefit.datasets.needle_warnings import find_side_warnings
+from needlefit.datasets.needle_warnings import find_copy_warnings, find_side_warnings
 from needlefit.datasets.needles import describe_rigidity, find_needle_faults, make_needles
 from needlefit.datasets.observations import expects_shape, find_faults, name_observation, place_points
 from needlefit.datasets.observations.tip_track import parse_tracks
@@ -420,6 +420,7 @@ def _read_tracks(reading: _Reading, remarks: list[str]) -> tuple[list[Insertion]
         noise, where = make_noise(record.noise), format_place(reading.file)
         column = record.tip_tracks.columns.get("bevel_side", "bevel_side")
         reading.warnings += find_side_warnings([(track, str(path)) for track in tracks], noise, column)
+        reading.warnings += find_copy_warnings([(one, str(path), one.centerline) for one in tracks], noise)
         reading.warnings += find_boundary_warnings(record, tracks, where)
         # under a guide that moves, a track is no smooth curve
         reading.warnings += find_scatter_warnings(
