@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 
@@ -112,13 +113,18 @@ class ShapePlacer(Placer):
         }
         off = [curve for curve, angle in angles.items() if angle > MAX_HEADING_DEG]
         if off:
-            angle, end = angles[off[0]], name_set("entry", OTHER_END[self.entry])
-            fix = f"state {name_set('pose', along)}; or look at {list_places(off)}: columns may be swapped"
+            angle, pose, chord = angles[off[0]], poses[off[0]], to_unit(off[0].chord)
+            direction, fix = normalize(pose.to_vector("pose")), f"look at {list_places(off)}"
+            order = max(permutations(range(3)), key=lambda axes: direction @ chord[[*axes]])
+            if direction @ chord[[*order]] >= np.cos(np.radians(MAX_HEADING_DEG)):
+                fix += f": columns seem to be {', '.join('xyz'[axis] for axis in order)}"
+            is_few = 2 * len(off) <= len(poses)
             if angle > 180.0 - MAX_HEADING_DEG:
-                fix = f"state {name_set('pose', along)}; or, if the files begin at the tips, {end}"
-                fix = fix if 2 * len(off) > len(poses) else advise_order(off)
+                end = name_set("entry", OTHER_END[self.entry])
+                fix = advise_order(off) if is_few else f"if the files begin at the tips, {end}"
+            fix = fix if is_few else f"state {name_set('pose', along)}; or {fix}"
             needed = f"at most {MAX_HEADING_DEG:g} degrees off the needles, {along}; {list_names(off)} runs "
-            raise poses[off[0]].error("pose", f"{needed}{angle:.0f} degrees off it", fix)
+            raise pose.error("pose", f"{needed}{angle:.0f} degrees off it", fix)
         return poses
 
     def settle_entry_points(self, without: str) -> None:
@@ -169,8 +175,14 @@ class ShapePlacer(Placer):
         if answer.text == "first":
             return 0.0
         curve.entry, along = answer.to_vector("entry_point"), np.arange(0.0, curve.length, STEP_MM)
-        gaps = np.linalg.norm(curve.points.curve.interpolate(along) - curve.entry, axis=1)
-        return float(along[np.argmin(gaps)])
+        places, limit = curve.points.curve.interpolate(along), curve.depth_tolerance
+        gaps = {unit: np.linalg.norm(places - mm * curve.entry, axis=1) for unit, mm in UNITS_MM.items()}
+        if gaps["mm"].min() > curve.length:
+            units = [unit for unit in gaps if gaps[unit].min() < limit]
+            fix = f"it looks like {units[0]}: {name_set('entry_point.unit', units[0])}" if units else ""
+            needed = f"a place less than the length of {curve.name}, {curve.length:.0f} mm, from it"
+            raise answer.error("entry_point", needed, fix or "check its unit and its frame")
+        return float(along[np.argmin(gaps["mm"])])
 
     def require_depths(self) -> None:
         """DataError if the points of a needle do not begin at its entry, or are not as long as it is deep."""
@@ -359,7 +371,8 @@ def advise_order(curves: Sequence[ImportedCurve]) -> str:
 
 def list_places(curves: Sequence[ImportedCurve]) -> str:
     """Return where the points of curves stand."""
-    return join_names([f"{curve.points.where()} to {curve.points.where(-1)}" for curve in curves], 5)
+    places = (f"{curve.points.where()} to {curve.points.where(-1)}" for curve in curves)
+    return join_names([*dict.fromkeys(places)], 5)
 
 
 def cut_shaft(curve: ImportedCurve, arc: float, other_end: str) -> None:
