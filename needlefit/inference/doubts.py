@@ -21,7 +21,6 @@ from needlefit.inference.hypotheses import (
     PREDICTED_SD,
     Change,
     Deviation,
-    Explanation,
     explain,
     list_changes,
     search_sizes,
@@ -108,7 +107,7 @@ def _find_shared(problem: Problem, theta: Floats, odd: set[str]) -> Doubts | Non
             return doubts
         changed = change_all(problem, found.change, found.size)
         again = find_doubts(changed, refit(changed, changed.insertions, theta), seeks_common=False)
-        doubts = again._replace(common=_describe_common(found))
+        doubts = again._replace(common=DoubtMetadata(**found.describe()))
         names = {needle.insertion for needle in again.odd}
         if names <= odd:
             return doubts
@@ -148,7 +147,6 @@ def _describe(
     log_odds = found.log_odds if found else 0.0
     if is_near and log_odds < HAPPENED_LOG_ODDS:
         return None
-    cause = found.change.describe(found.size, found.sd) if found and found.is_clear else {}
     within_bounds = np.clip(predicted.theta, problem.lower, problem.upper)
     ((simulated, measured),) = replace(problem, insertions=(left_out,)).points(within_bounds)
     points = np.column_stack(
@@ -160,14 +158,5 @@ def _describe(
         sds=sds,
         log_odds=log_odds,
         points=points.round(3).tolist(),
-        **cause,
+        **(found.describe() if found and found.is_clear else {}),
     )
-
-
-def _describe_common(found: Explanation) -> DoubtMetadata:
-    """Return what is known of what happened to all needles alike."""
-    change, stated = found.change, None
-    if change.row.changes_model:
-        number, deepest = change.choice
-        stated = float(deepest.boundaries[number])
-    return DoubtMetadata(**change.describe(found.size, found.sd), stated=stated)

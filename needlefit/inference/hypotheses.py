@@ -68,11 +68,6 @@ class Change(NamedTuple):
         """What may have happened."""
         return HYPOTHESES[self.cause]
 
-    def describe(self, size: float, sd: float) -> dict[str, Any]:
-        """Return what `DoubtMetadata` states of it, by the likeliest size, of such an SD."""
-        about = {"cause": self.cause, "aside": self.axis == ASIDE, "where": self.where}
-        return about | ({"size": self.row.report(size), "sd": sd} if self.row.sizes else {})
-
     def apply(self, insertion: Insertion, size: float) -> Insertion:
         """Return the insertion as it may have been."""
         return self.row.change(insertion, size, self.axis, self.choice)
@@ -93,6 +88,17 @@ class Explanation(NamedTuple):
     #: whether that is far more probable than nothing, its size is known, and nothing else explains the
     #: measured points nearly as well
     is_clear: bool = False
+
+    def describe(self) -> dict[str, Any]:
+        """Return what `DoubtMetadata` states of it."""
+        change = self.change
+        about = {"cause": change.cause, "aside": change.axis == ASIDE, "where": change.where}
+        if change.row.sizes:
+            about |= {"size": change.row.report(self.size), "sd": self.sd}
+        if change.cause == "boundary":
+            number, deepest = change.choice
+            about["stated"] = float(deepest.boundaries[number])
+        return about
 
 
 def _turn(insertion: Insertion, degrees: float, axis: int, _: None) -> Insertion:

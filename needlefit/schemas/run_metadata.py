@@ -146,7 +146,7 @@ class DoubtMetadata(_Metadata):
     size: float | None = None
     sd: float | None = None  #: of it; of a factor, of its logarithm
     where: str = ""  #: the number of the point or boundary, or the other needle, by this cause
-    stated: float | None = None  #: depth of the boundary that all put elsewhere, mm
+    stated: float | None = None  #: depth of the boundary, mm
     #: along the entry, and deflections toward the bevel as measured and as the others predict them, mm
     points: list[tuple[float, float, float]] = []
 
