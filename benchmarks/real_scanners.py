@@ -139,6 +139,7 @@ def trace_narrow(row: Row, cache: Path) -> dict[str, object]:
     """Render the narrow volume of a row and trace its needle; return its line of the table."""
     case, recipe = narrow_case(make_case(row)), make_recipe(row)
     volume = read_volume(render_cached(case, cache))
+    start = time.process_time()
     axis = densify(case.axis)
     height = axis[axis[:, 0] >= FIELD_LOW[0]] @ case.world.rotation[2]
     line: dict[str, object] = {"id": row.name, **row.levels}
@@ -147,6 +148,7 @@ def trace_narrow(row: Row, cache: Path) -> dict[str, object]:
         found = trace_needle(volume, select_needle(volume, recipe).needle, recipe)
     except NeedlefitError as error:
         return line | {"written": False, "what": error.what}
+    line["seconds"] = time.process_time() - start
     beside = _beside(case.world.to_local(found.points), axis, case)
     # the tip from the true one, not from the point of the axis that is nearest to it
     beside = np.vstack([beside, _beside(case.world.to_local(found.tip[None]), axis, case, -1)])
@@ -177,8 +179,10 @@ def enter_guided(seed: int, cache: Path) -> dict[str, object]:
     case, thickness, guide = draw_guided(seed)
     recipe = make_recipe(case.row).model_copy(update={"guide": GuidePlateRecord(thickness_mm=thickness)})
     volume = render_cached(case, cache)
+    start = time.process_time()
     (found,) = reconstruct_needles(Scan(case.row.name, volume, "gel"), recipe)
     line: dict[str, object] = {"id": case.row.name, "guide": guide, **case.row.levels, "where": ""}
+    line["seconds"] = time.process_time() - start
     if isinstance(found, ReconstructionFailure):
         return line | {"written": False, "wrong": False, "what": f"{guide}: {found.error.what}"}
     entry = case.world.to_local(found.patient.to_local(found.pose.origin[None]))[0, 0]

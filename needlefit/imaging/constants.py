@@ -91,7 +91,6 @@ class MM:
     RIM = 1.9  # from the needle, where its surroundings begin
     DARK = 6.0  # of a needle that rays darken, at most; longer rays show themselves rather than the bevel [R]
     END_MOMENT = 5.0  # lever of the shear force at the end: the tip itself carries no moment
-    BEVEL_POINT = 0.04  # of a bevel's point that is too thin to show: mean of 24 volumes [S]
     HIDDEN = 15.0  # of a needle that rays hide: at its end, behind a hub, or between two pieces [R]
     SWING_SD = 0.1  # by which a needle leaves its shaft's course within its bevel
     LEAST_SLICE_BLUR = 0.2  # of scanners, across slices

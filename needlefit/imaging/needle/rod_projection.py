@@ -11,13 +11,11 @@ from needlefit.arrays import Floats
 from needlefit.imaging.point_spread import PointSpread
 
 COLUMN_MM = 0.75  # mm, pieces of the rod along it
-CELL_MM = 0.25  # mm, cells of the detector
-PLANE_MM = 0.17  # mm, distance of planes at most
+CELL_MM = 0.25  # mm, cells of the detector, and distance of planes at most
 PLANE_STEP = 6  # planes of which a slice has a multiple
 # Distances from a slice's middle, in slices, between which the logarithm of its sensitivity is linear.
 SENSITIVITY_AT = np.arange(PLANE_STEP) / PLANE_STEP
-# Angle between views along the needle, and how much it grows with the angle to the needle, rad.
-VIEW_STEP = 0.013  # rad; it grows by ten times that per rad
+VIEW_STEP = 0.013  # rad, angle between views along the needle
 WATER_PER_MM = 0.02  # attenuation of water, 1/mm
 
 
@@ -32,6 +30,7 @@ class Rod:
     heights: Floats  # (K,); of the slices, mm
     stations: Floats  # (S,); where slices are sampled: along the needle
     side: Floats  # (S, U); and across it
+    view_step: float  # angle between views along the needle, rad; it grows by ten times that per rad to it
     _back_projections: dict[float, csr_array] = field(default_factory=dict, compare=False)
 
     @cached_property
@@ -39,7 +38,7 @@ class Rod:
         """Angles of the rays to the needle (V,) and their weights; dense where rays run along it."""
         half = [0.0]
         while half[-1] < np.pi / 2:
-            half.append(half[-1] * (1 + 10 * VIEW_STEP) + VIEW_STEP)
+            half.append(half[-1] * (1 + 10 * self.view_step) + self.view_step)
         turned = np.array(half) * (np.pi / 2 / half[-1])
         angles = np.concatenate([-turned[:0:-1], turned])
         weights = np.gradient(angles)
@@ -55,7 +54,7 @@ class Rod:
     @property
     def in_slice(self) -> int:
         """Number of planes in a slice."""
-        return PLANE_STEP * int(np.ceil(self.thick / (PLANE_STEP * PLANE_MM)))
+        return PLANE_STEP * int(np.ceil(self.thick / (PLANE_STEP * CELL_MM)))
 
     @cached_property
     def half(self) -> int:
@@ -121,13 +120,13 @@ class Rod:
         width = 2 * chord * part * slant
         place = across[c] + np.sign(np.cos(roll)) * chord * (1 - part) * slant
         # every piece is a parallelogram, whose image is a trapezoid; in single precision it is twice as fast
-        angles, count = self.views[0], 2 * self.half
+        angles, count, piece = self.views[0], 2 * self.half, self.columns[0] - self.columns[1]
         sine, cosine = np.sin(angles).astype(np.float32), np.cos(angles).astype(np.float32)
         pieces = np.stack([width, place, drift[c], self.columns[c]])[..., None].astype(np.float32)
         middle = (pieces[1] * cosine - pieces[3] * sine) / CELL_MM + self.half
         long = np.maximum(pieces[0] * np.abs(cosine) / CELL_MM, 0.5)
-        wide = np.maximum(np.abs(pieces[2] * cosine - sine) * COLUMN_MM / CELL_MM, 0.5)
-        height, outer = pieces[0] * COLUMN_MM / CELL_MM / (long * wide), (long + wide) / 2
+        wide = np.maximum(np.abs(pieces[2] * cosine - sine) * piece / CELL_MM, 0.5)
+        height, outer = pieces[0] * piece / CELL_MM / (long * wide), (long + wide) / 2
         first = np.ceil(middle - outer)
         covered = np.arange(int(2 * outer.max(initial=0)) + 1)[:, None, None]  # cells, from the first on
         parts = first - middle + covered.astype(np.float32)

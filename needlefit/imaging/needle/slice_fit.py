@@ -26,7 +26,7 @@ from needlefit.imaging.constants import MM, PART, SCANNER, SD
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
 from needlefit.imaging.needle.follow import STEP_MM
 from needlefit.imaging.needle.hub import Hub, find_hub
-from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod
+from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, VIEW_STEP, Rod
 from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, ROLL_FACTOR, ROUGH_STEPS, TipFit, point_bevel
 from needlefit.imaging.point_spread import PointSpread, expected_spread
 from needlefit.imaging.volume import Volume, to_index
@@ -45,12 +45,12 @@ BEAM = (SCANNER.ATTENUATION, SCANNER.HARDENING, SCANNER.SCATTER, SCANNER.LINEARI
 PROFILE_SDS = (0.4, 0.4, 0.5, 1.0, 1.5)  # of the logarithms of the sensitivity
 TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
-START_ENDS_MM = np.arange(-1.0, 1.1, 0.5)  # ends that are tried, from the one stated, mm
+START_ENDS_MM = (-0.5, 0.0, 0.5)  # ends that are tried, from the one before, mm
 ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first fit and later
 STEP = 0.05  # of the derivatives
+ROUGH = 2.0  # factor of the rod's pieces and the views' angles while its course is looked for
 # The model's error, in water and in parts of the image, before it is known; samples that count as one.
-FIRST_NOISE = 0.15  # of water
-FIRST_ERROR = 0.25  # of the image
+FIRST_ERRORS = (0.15, 0.25)
 CORRELATED = 10.0  # samples
 # What no residual shows, slices: of the axis; and where the needle does not cross a slice, as its mirror
 # image looks the same, at its end twice. Set on volumes of `benchmarks/real_scanners.py --seeds 2000:2013`.
@@ -99,7 +99,7 @@ def place_in_slices(
         # the needle lies where its surroundings were looked for: sample the slices around it
         y, z = (_extend(problem.basis, x) @ np.stack([across, along], axis=1)).T
     rolled = needle.bevel_deg < MAX_BEVEL_DEG
-    count, end = len(across), float(x[-1] + end) + MM.BEVEL_POINT * rolled
+    count, end = len(across), float(x[-1] + end)
     variances = np.stack([covariance[:count, :count], covariance[count : 2 * count, count : 2 * count]])
     end_sd, roll_sd = np.sqrt(np.diag(covariance)[2 * count : 2 * count + 2])
     crossed = float(np.ptp(problem.at @ along)) / thick
@@ -185,30 +185,36 @@ class _SliceProblem:
         self.rim = np.abs(line) > MM.RIM  # (U,); what shows the surroundings
         self.level = self.shown[..., self.rim].mean(axis=-1, keepdims=True)  # (K, S, 1); their brightness
         # deviations of what slices show before the model's error is known (K, S, U)
-        self.first_scale = np.hypot(FIRST_NOISE, FIRST_ERROR * (self.shown - self.level))
+        self.first_scale = np.hypot(FIRST_ERRORS[0], FIRST_ERRORS[1] * (self.shown - self.level))
         unique, moment = np.unique(knots), np.pi * needle.diameter_mm**4 / 64
         shear = basis.derivative(3)((unique[1:] + unique[:-1]) / 2)
         bent = np.vstack([shear, basis.derivative(2)(unique[-1:]) / MM.END_MOMENT])
         self.bent = bent * moment / SHEAR_SD_MM2  # (J, C) from coefficients to shear forces, in deviations
-        columns = np.arange(x[-1] + MM.BEYOND_END, x[-1] - needle.length_mm, -COLUMN_MM)
-        self.to_columns = _extend(basis, columns)  # (columns, C)
-        # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
-        true = np.tan(np.radians(needle.bevel_deg))
-        steep = min(true, needle.diameter_mm / COLUMN_MM)
-        # about where the needle ends; a bevel that projects as the end does reaches farther, mm
-        self.end = x[-1] + radius / steep - radius / true
-        self.rod = Rod(columns, radius, steep, thick, slices * thick, stations, side)
-        self.hub = hub
-        if hub is not None:
-            (back, front) = hub.ends
-            across, along = (np.interp(columns, [back[0], front[0]], [back[n], front[n]]) for n in (1, 2))
-            behind = float(back[0]), hub.radius
-            self.held = self.rod.lengths(across, along, float(front[0]), 0.0, behind)
+        self.needle, self.last, self.hub = needle, x[-1], hub
+        self.seen_at, self.thick = (slices * thick, stations, side), thick
+        self.lay_rod(ROUGH)
         expected = spread or expected_spread(thick)
         profile = np.log(expected.weigh_planes(SENSITIVITY_AT[1:] * thick))
         # what is known of the parameters of the scan (11,), and its deviations
         self.means = np.concatenate([np.log([part.value for part in BEAM]), expected.parameters[:2], profile])
         self.sds = np.concatenate([[part.sd for part in BEAM], expected.sds[:2], PROFILE_SDS])
+
+    def lay_rod(self, rough: float) -> None:
+        """Lay out the rod; its pieces and the angles of the views are larger by the factor `rough`."""
+        radius, step = self.needle.diameter_mm / 2, rough * COLUMN_MM
+        columns = np.arange(self.last + MM.BEYOND_END, self.last - self.needle.length_mm, -step)
+        self.to_columns = _extend(self.basis, columns)  # (columns, C)
+        # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
+        true = np.tan(np.radians(self.needle.bevel_deg))
+        steep = min(true, self.needle.diameter_mm / step)
+        # about where the needle ends; a bevel that projects as the end does reaches farther, mm
+        self.end = self.last + radius / steep - radius / true
+        self.rod = Rod(columns, radius, steep, self.thick, *self.seen_at, rough * VIEW_STEP)
+        if self.hub is not None:
+            (back, front) = self.hub.ends
+            across, along = (np.interp(columns, [back[0], front[0]], [back[n], front[n]]) for n in (1, 2))
+            behind = float(back[0]), self.hub.radius
+            self.held = self.rod.lengths(across, along, float(front[0]), 0.0, behind)
 
     def split(self, theta: Floats) -> list[Floats]:
         """Return the parameters of each kind."""
@@ -222,7 +228,7 @@ class _SliceProblem:
         if self.hub is not None:
             place = self.hub.ends[1]
             row = _extend(self.basis, place[:1])
-            sds = HUB_SDS * np.array([1.0, self.rod.thick])
+            sds = HUB_SDS * np.array([1.0, self.thick])
             known += [(row @ across - place[1]) / sds[0], (row @ along - place[2]) / sds[1]]
         return np.concatenate(known)
 
@@ -268,23 +274,24 @@ class _SliceProblem:
             return np.stack([cost, less, np.where(less < 1, -(less**2), 0.0)])
 
         evaluated: list[Floats] = []  # the last residuals: of where slopes are asked for
-        fresh: list[Floats] = []
+        used: list[list[Floats]] = []  # where slopes were asked for, with residuals and slopes
 
         def residuals(there: Floats, scale: Floats) -> Floats:
             evaluated[:] = [self.residuals(there, scale)]
             return evaluated[0]
 
-        # the slopes of a step serve the next one, corrected by what it showed
+        # slopes serve two further steps, corrected by what each showed
         def slopes(there: Floats, scale: Floats) -> Floats:
-            if fresh:
-                before, left, jacobian = fresh
+            if len(used) % 3:
+                before, left, jacobian = used[-1]
                 step = there - before
                 weight = step * np.sum(jacobian**2, axis=0)
                 missed = evaluated[0] - left - jacobian @ step
-                fresh.clear()
-                return jacobian + np.outer(missed, weight / (weight @ step))
-            fresh[:] = there, evaluated[0], self.slopes(there, scale)
-            return fresh[-1]
+                jacobian = jacobian + np.outer(missed, weight / (weight @ step))
+            else:
+                jacobian = self.slopes(there, scale)
+            used.append([there, evaluated[0], jacobian])
+            return jacobian
 
         return least_squares(
             residuals,
@@ -311,9 +318,10 @@ class _SliceProblem:
                 for theta in self.move(best, step):
                     if (cost := self.first_misfit(theta)) < lowest:
                         best, lowest, improved = theta, cost, True
-        for robust in ROBUST_SD:  # with one turn of the bevel a tip was 0.33 mm short, with these 0.02
-            best = self.descend(self.turn(best), self.first_scale, robust).x
         best = self.turn(best)
+        self.lay_rod(1.0)
+        for robust in ROBUST_SD:  # with ends before rolls a tip was 0.41 mm short, with both at once 0.01
+            best = self.turn(self.descend(best, self.first_scale, robust).x)
         scale = self.scale(self.image(self.project(best), best))
         fit = self.descend(best, scale, ROBUST_SD[1])
         image = self.image(self.project(fit.x), fit.x)
@@ -327,12 +335,12 @@ class _SliceProblem:
         """Return the parameters with the course shifted, tilted or bent along the normal by `step` slices."""
         count = len(self.start)
         x = np.linspace(-1, 1, count)
-        modes = [np.ones(count), x, x**2 - 0.5, x**3 - 0.6 * x, (x**2 - x) / 2, 1 - x**2, (x**2 + x) / 2]
+        modes = [np.ones(count), x, x**2 - 0.5, x**3 - 0.6 * x]
         moved = []
         for mode in modes:
             for size in (step, -step):
                 one = theta.copy()
-                one[count : 2 * count] += size * self.rod.thick * mode
+                one[count : 2 * count] += size * self.thick * mode
                 moved.append(one)
         return moved
 
@@ -343,12 +351,13 @@ class _SliceProblem:
         return float(robust**2 * np.sum(np.log1p((left[0] / robust) ** 2)) + np.sum(left[1] ** 2))
 
     def turn(self, theta: Floats) -> Floats:
-        """Return the parameters with the best of several ends, and with it of several rolls of the bevel."""
-        rolls = np.arange(6) * np.pi / 3
-        for place, steps in enumerate((START_ENDS_MM, rolls), start=2 * len(self.start)):
-            moved = theta + np.outer(steps, np.eye(len(theta))[place])
-            theta = min(moved, key=self.first_misfit)
-        return theta
+        """Return the parameters with the best of several ends and rolls of the bevel."""
+        end, roll = np.eye(len(theta))[2 * len(self.start) :][:2]
+        sides = np.arange(6) * np.pi / 3
+        return min(
+            (theta + away * end + side * roll for away in START_ENDS_MM for side in sides),
+            key=self.first_misfit,
+        )
 
     def scale(self, image: Floats) -> Floats:
         """Return the deviations of what slices show (K, S, U) that residuals of `image` show."""
