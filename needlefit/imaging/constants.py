@@ -58,7 +58,6 @@ class MM:
     PATCH = 2.4  # radius of what is looked at around the needle: its blur ends there, and segments spare it
     KNOT = 7.5  # of the axis: needles in gels bend over longer lengths [R]
     RING = (3.5, 6.0)  # of the surroundings: beyond bloom, within the nearest marker as a rule
-    LIGHT = 5.0  # least length of foam or lung
     # Where blur shows, four deviations of a wide one: shorter runs of material are blur, air in gaps of twice
     # that has no level, and a streak beyond the tip fades; edges are fitted over four times that
     BLUR_REACH = 2.0
@@ -68,7 +67,7 @@ class MM:
     # to the volume's face has left it, and so far behind its bevel its tip is fitted
     EDGE_BLUR = 3.0
     EDGE_SD = 0.02  # of an edge that no scatter shows: a kernel's sides are not alike [G]
-    SHAFT = 5.0  # least length of shaft outside the tissue through which an axis is drawn
+    PIECE = 5.0  # least length of foam or lung, and of shaft outside the tissue that shows an axis
     REACH = 80.0  # along the needle to the tissue's surface, or to a hub
     # Of what a scanner shows of an end, which the model does not: of a tip, across it, and of a guide's faces
     MODEL_SD = 0.05  # [R] [G]
@@ -133,6 +132,7 @@ class PART:
     SLICE_SD = 0.02
     BALL_DIAMETERS = (0.65, 1.45)  # of a ball of as many voxels over that sought [R]
     BALL_ELONGATION = 2.0  # longest over shortest extent of what may be a ball
+    NEGLIGIBLE = 0.02  # of a scan's voxels that are air, of a layer's volume in islands and cavities
     PAIRED = 0.6  # of the smaller set of markers: few among many are part of something else
     TOLERANCE = 1e-3  # of a fit's cost and parameters, at which it ends: an end moves by less than 0.01 mm
 

@@ -34,7 +34,7 @@ from needlefit.geometry.surfaces import (
     read_surface,
     transform_surface,
 )
-from needlefit.imaging.constants import MM
+from needlefit.imaging.constants import MM, PART
 from needlefit.imaging.reconstruction import EntryPose, Layers
 from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import LayerSource, Scan
@@ -49,7 +49,6 @@ MIN_TAIL = 1e-3  # averages nearer to 0 or 1 than this say nothing of the distan
 # No boundary comes nearer to the centre of a cell than this, in standard deviations of the smoothing: in a
 # file, triangles smaller than its digits would fall together.
 MIN_CORNER_DISTANCE_SD = 0.01
-MAX_LOOSE_FRACTION = 0.02  # islands and cavities of at most this part of a layer's volume are left out
 MARGIN_CELLS = 3  # cells around the labels: what leaves the volume is closed there
 
 
@@ -99,7 +98,7 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
         make_id(f"layer {layer} {name}".strip(), ""), points, faces.astype(np.int64), layer
     )
     place = f"layer {layer}{f' ({name})' if name else ''}" + " and those beyond" * (not last)
-    if loose > MAX_LOOSE_FRACTION:
+    if loose > PART.NEGLIGIBLE:
         raise DataError(
             f"{place} fall{'s' * last} apart: islands or cavities of {100 * loose:.0f} "
             "% of the largest piece",

@@ -68,7 +68,7 @@ def find_runs(profile: IntensityProfile, least: float = MM.BLUR_REACH) -> tuple[
     kinds = np.where(values > HU.METAL, 2, np.where(values < HU.GAP, 0, 1))
     light = (values > HU.LIGHT) & (kinds == 0)
     for part in np.split(np.arange(len(s)), np.flatnonzero(np.diff(light)) + 1):
-        if light[part[0]] and s[part[-1]] - s[part[0]] >= MM.LIGHT:
+        if light[part[0]] and s[part[-1]] - s[part[0]] >= MM.PIECE:
             kinds[part] = 1
     for at in s[kinds == 2]:
         kinds[(np.abs(s - at) <= MM.BLUR_REACH) & (kinds == 1)] = 2

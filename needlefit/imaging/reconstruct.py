@@ -399,7 +399,7 @@ def estimate_first_contact(
     if stage is None:
         shaft = move_to_surface(pose_from_shaft(outside, along_sd), surfaces)
         return shaft, shaft
-    if usable_length(outside) < MM.SHAFT:
+    if usable_length(outside) < MM.PIECE:
         return stage, None
     other = pose_from_shaft(outside, along_sd)
     compare_poses(stage, other)

@@ -11,6 +11,7 @@ from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface
+from needlefit.imaging.constants import MM
 from needlefit.imaging.needle.axis_spline import PLANE_SPACING_MM
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.point_spread import PointSpread
@@ -156,14 +157,6 @@ class Reconstruction:
         return float(self.scan.side * (y[-1] - y[0]))
 
 
-# Places along the third axis over which a picture is averaged, mm: the slab holds the needle whole, and its
-# mean quiets the noise so that layers show.
-SLAB_OFFSETS_MM = np.arange(-1.2, 1.3, 0.4)
-# How far pictures reach before the entry, beyond the tip and to the sides of the needle, mm.
-ENTRY_MARGIN_MM = 35.0  # mm
-MARGIN_MM = 10.0  # mm
-
-
 def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike) -> tuple[ScanView, ...]:
     """Return two images: the bending plane (x, y), and across it (x, z).
 
@@ -174,18 +167,21 @@ def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike
     local = frame.to_local(patient.to_world(needle))
     local = local[np.argsort(local[:, 0])]
     turned = Frame(patient.to_local(frame.origin[None])[0], patient.rotation.T @ frame.rotation)
-    first = max(-ENTRY_MARGIN_MM, float(local[0, 0]) - 2.0)
-    right = _list_pixels(first, float(local[-1, 0]) + MARGIN_MM)
-    shown = local[local[:, 0] >= -ENTRY_MARGIN_MM]
+    before, margin = MM.REACH / 2, 2 * MM.BEYOND_END
+    # along the third axis a picture is averaged: the slab holds the needle whole, and its mean quiets the
+    # noise so that layers show
+    slab = np.linspace(-MM.PATCH / 2, MM.PATCH / 2, 7)
+    right = _list_pixels(max(-before, float(local[0, 0]) - 2.0), float(local[-1, 0]) + margin)
+    shown = local[local[:, 0] >= -before]
     views, half = [], PLANE_SPACING_MM / 2
     for up, through in ((1, 2), (2, 1)):
         side = shown[:, up]
-        rows = _list_pixels(float(side.min()) - MARGIN_MM, float(side.max()) + MARGIN_MM)
-        points = np.empty((len(rows), len(right), len(SLAB_OFFSETS_MM), 3))
+        rows = _list_pixels(float(side.min()) - margin, float(side.max()) + margin)
+        points = np.empty((len(rows), len(right), len(slab), 3))
         points[..., 0] = right[None, :, None]
         points[..., up] = rows[:, None, None]
         middle = np.interp(right, local[:, 0], local[:, through])
-        points[..., through] = middle[None, :, None] + SLAB_OFFSETS_MM
+        points[..., through] = middle[None, :, None] + slab
         index = to_index(volume, turned.to_world(points.reshape(-1, 3)))[:, ::-1].T
         values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float32)
         extent = (right[0] - half, right[-1] + half, rows[0] - half, rows[-1] + half)

@@ -285,9 +285,6 @@ MIN_BRIGHTEST = 20  # voxels
 MAX_SHARED_FRACTION = 0.85  # of the brightest voxels
 
 
-MIN_AIR_FRACTION = 0.02  # of all voxels, least that show the level of air
-
-
 def doubt_air(volume: Volume) -> Iterator[str]:
     """Yield a warning if air has another value than in HU, as grey values of cone beams have.
 
@@ -296,7 +293,7 @@ def doubt_air(volume: Volume) -> Iterator[str]:
     """
     some = volume.values[::3, ::3, ::3]
     dark = some[(some > float(some.min())) & (some < HU.GAP)]
-    level = float(np.median(dark)) if dark.size > MIN_AIR_FRACTION * some.size else HU.AIR
+    level = float(np.median(dark)) if dark.size > PART.NEGLIGIBLE * some.size else HU.AIR
     if not HU.AIR_RANGE[0] <= level <= HU.AIR_RANGE[1]:
         yield (
             f"the values may be no Hounsfield units: the darkest material, unless it is lung or foam, has "

@@ -28,7 +28,7 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 MIN_POINTS = 3  # fewer do not show which way a needle bends
 # Distance of the places at which the needle is looked for, mm; of a mask, or of what a threshold shows, one
 # point is taken over twice that.
-STEP_MM = 1.0
+STEP_MM = 2 * MM.STATION
 
 
 def read_mask_points(volume: Volume, path: Path) -> Floats:
