@@ -125,6 +125,17 @@ def test_fields_of_a_struct_beside_curves_are_stated_of_them(tmp_path):
     }
 
 
+def test_a_modulus_without_a_unit_is_in_the_only_one_that_a_needle_has(tmp_path):
+    """80 is GPa, 8e10 Pa, 200000 MPa."""
+    for number, unit, gpa in ((80.0, "", 80.0), (8e10, "Pa", 80.0), (2e5, "MPa", 200.0)):
+        file, words = tmp_path / f"{gpa}{unit}.mat", {"pose": "1,0,0"}
+        savemat(file, {"needles": cells(CURVES), "rig": {"E": number, "OD": 1.27}})
+        if unit:
+            assert f"--set modulus.unit={unit}" in refusal(DataError, "modulus", prepare, [file], **words).fix
+            words["modulus__unit"] = unit
+        assert prepare([file], **words).plan.needle.youngs_modulus_gpa == pytest.approx(gpa)
+
+
 def test_empty_cells_keep_the_values_of_the_others_in_their_places(tmp_path):
     needles = cells([CURVES[0], np.empty((0, 0)), CURVES[2], CURVES[3]])
     content = content_of(tmp_path, needles=needles, side=[1, -1, -1, 1], block=cells(["p", "q", "r"]))

@@ -432,16 +432,14 @@ class TableDraft:
         is_step = any(map(str.isdigit, unit))  # of a pixel: no unit of lengths in mm
         if unit and is_free and not (is_step and record.get("unit", "px") != "px"):
             record["unit"] = unit  # also beside a header that states another one
-        elif (usual := MEANINGS[meaning].unit) in ("mm", "1/mm") and not record.keys() & {
+        elif (usual := MEANINGS[meaning].unit) in ("mm", "1/mm", "GPa") and not record.keys() & {
             "unit",
             "unit_column",
         }:
-            is_inverse, is_point = usual == "1/mm", meaning in COORDINATES and self.kind.has_points
-            is_fact = is_inverse or (meaning in ATTRIBUTES and not is_point)
-            is_bare, unit = (
-                is_fact and any(map(list_bare_numbers, texts)),
-                "" if is_inverse else self.table.unit,
-            )
+            is_point = meaning in COORDINATES and self.kind.has_points
+            is_fact = usual == "1/mm" or (meaning in ATTRIBUTES and not is_point)
+            is_bare = is_fact and any(map(list_bare_numbers, texts))
+            unit = self.table.unit if usual == "mm" else ""
             units = [column.name for column in self.all if column.meaning == "unit" and column.texts]
             if units:
                 record["unit_column"] = units[0]

@@ -27,7 +27,7 @@ class Meaning(NamedTuple):
     unit: str = ""
     usual: str = ""
     reason: str = ""
-    likely: tuple[float, ...] = ()  # least and greatest length (mm) that is believed without a unit
+    likely: tuple[float, ...] = ()  # least and greatest number (in `unit`) that is believed without a unit
     choices: tuple[str, ...] = ()  # all values that it may have; none: any
     of_all: bool = False  # no needle has a cell of its own
 
