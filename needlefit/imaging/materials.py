@@ -4,6 +4,7 @@ Soft is what lies between air and metal: tissue, a gel, the plastic of a guide o
 """
 
 from collections.abc import Iterator
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -107,6 +108,7 @@ def _absorb_short_runs(kinds: Ints, step: float, shortest: float) -> Ints:
         kinds[begins[n] : begins[n] + lengths[n]] = kinds[begins[longer]]
 
 
+@lru_cache(maxsize=4)  # asked for again for entry, materials and warnings
 def find_rises(
     profile: IntensityProfile, least: float = MM.BLUR_REACH
 ) -> tuple[tuple[int, float, float], ...]:
@@ -177,7 +179,8 @@ MIN_STEP_SD = 5.0  # deviations of its own noise that a step exceeds
 MIN_STEP_STATIONS = 3  # stations on either side of a step
 
 
-def find_steps(profile: IntensityProfile) -> list[float]:
+@lru_cache(maxsize=2)
+def find_steps(profile: IntensityProfile) -> tuple[float, ...]:
     """Return the places inside soft material where its brightness changes, mm, from the base on."""
     s, values = _known_stations(profile)
     runs, found = find_runs(profile), list[float]()
@@ -187,7 +190,7 @@ def find_steps(profile: IntensityProfile) -> list[float]:
         inside = (s >= low) & (s <= high)
         if run.kind == "soft" and inside.sum() > 2 * MIN_STEP_STATIONS:
             found += _find_steps_within(s[inside], values[inside])
-    return found
+    return tuple(found)
 
 
 def _find_steps_within(s: Floats, values: Floats) -> list[float]:
