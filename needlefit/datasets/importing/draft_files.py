@@ -199,9 +199,9 @@ def _states_values(grid: Table) -> bool:
     if grid.sheet.lower().removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET:
         return True
     names = [read_header(row[0]).meaning for row in grid.rows if any(row)]
-    width = max((sum(map(bool, row)) for row in grid.rows), default=0)
-    has_unit = width == 3 and not any(is_like_number(text) for row in grid.rows for text in row[2:])
-    return (width == 2 or has_unit) and sum(name in VALUES for name in names) > 1
+    widths = {sum(map(bool, row)) for row in grid.rows}
+    is_narrow = 1 < max(widths) < 4 and not any(is_like_number(text) for row in grid.rows for text in row[2:])
+    return is_narrow and sum(name in VALUES for name in names) > 1
 
 
 def _draft_values(grid: Table, keys: Keys, draft: Draft) -> None:

@@ -175,13 +175,14 @@ class ShapePlacer(Placer):
         if answer.text == "first":
             return 0.0
         curve.entry, along = answer.to_vector("entry_point"), np.arange(0.0, curve.length, STEP_MM)
-        places, limit = curve.points.curve.interpolate(along), curve.depth_tolerance
+        places = curve.points.curve.interpolate(along)
         gaps = {unit: np.linalg.norm(places - mm * curve.entry, axis=1) for unit, mm in UNITS_MM.items()}
         if gaps["mm"].min() > curve.length:
-            units = [unit for unit in gaps if gaps[unit].min() < limit]
-            fix = f"it looks like {units[0]}: {name_set('entry_point.unit', units[0])}" if units else ""
+            unit = min(gaps, key=lambda unit: gaps[unit].min())
+            is_near = gaps[unit].min() < curve.depth_tolerance
+            fix = name_set("entry_point.unit", unit) if is_near else "check its unit and its frame"
             needed = f"a place less than the length of {curve.name}, {curve.length:.0f} mm, from it"
-            raise answer.error("entry_point", needed, fix or "check its unit and its frame")
+            raise answer.error("entry_point", needed, fix)
         return float(along[np.argmin(gaps["mm"])])
 
     def require_depths(self) -> None:
