@@ -61,6 +61,7 @@ class Change(NamedTuple):
     where: str = ""  #: what was chosen: the number of a point or boundary, or another needle
     choice: Any = None
     starts: Collection[float] = (0.0,)  #: sizes from which the search begins
+    units: Collection[float] = ()  #: sizes that cost the choice among them alone
     cost: float = 0.0  #: of its numbers, as log odds
 
     @property
@@ -71,6 +72,11 @@ class Change(NamedTuple):
     def apply(self, insertion: Insertion, size: float) -> Insertion:
         """Return the insertion as it may have been."""
         return self.row.change(insertion, size, self.axis, self.choice)
+
+    def compute_odds(self, size: float, left: Deviation) -> float:
+        """Return log odds that count the numbers that were fitted."""
+        cost = math.log(len(self.units)) if size in self.units else self.cost
+        return left.log_density / left.misfit - cost
 
 
 #: a change -> deviations of needles changed so, by size, and the SD of the likeliest size
@@ -185,7 +191,7 @@ def list_changes(insertion: Insertion, others: Sequence[Insertion], directions: 
             for where, choice in choices.items():
                 is_fitted = row.sizes is not None or where != ""
                 cost = LOG_FITTED + math.log(len(choices)) if is_fitted else 0.0
-                yield Change(cause, axis, where, choice, starts, cost)
+                yield Change(cause, axis, where, choice, starts, (), cost)
 
 
 def explain(changes: Iterable[Change], search: Search, nothing: float) -> Explanation | None:
@@ -196,8 +202,7 @@ def explain(changes: Iterable[Change], search: Search, nothing: float) -> Explan
     rows = list[Explanation]()
     for change in changes:
         deviations, sd = search(change)
-        paid = change.cost + nothing
-        odds = {size: left.log_density / left.misfit - paid for size, left in deviations.items()}
+        odds = {size: change.compute_odds(size, left) - nothing for size, left in deviations.items()}
         size = max(odds, key=lambda size: odds[size])
         sd *= math.sqrt(deviations[size].misfit)
         rows.append(Explanation(change, size, sd, deviations[size].sds, odds[size]))
