@@ -8,7 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from import_cases import curves_of, needle, planned, prepare, write_long, write_rows, write_sheets
+from import_cases import (
+    curves_of,
+    needle,
+    planned,
+    prepare,
+    write_long,
+    write_markups,
+    write_rows,
+    write_sheets,
+)
 from refusals import refusal
 
 from needlefit.datasets.importing.meanings import read_header, translate_side
@@ -254,6 +263,17 @@ def test_a_text_of_names_and_values_holds_for_all_runs(tmp_path):
     assert prepared.mapping.assumed.keys().isdisjoint({"pose", "entry_point", "boundaries"})
     assert [curve.boundaries for curve in prepared.content.curves] == [(20.0,)] * 3
     assert {curve.needle.length_mm for curve in prepared.content.curves} == {170.0}
+
+
+def test_a_point_list_that_names_the_other_needles_is_asked_about(tmp_path):
+    for n, curve in enumerate(NEEDLES):
+        write_markups(tmp_path / f"n{n}.mrk.json", f"n{n}", curve)
+    listed = tmp_path / "entries.mrk.json"
+    write_markups(listed, "entries", np.vstack([one[:2] for one in NEEDLES]), "Fiducial")
+    listed.write_text(re.sub(r'"label": "(\d)"', r'"label": "n\1"', listed.read_text()))
+    assert "--set leave_out=entries" in refusal(DataError, "entries", prepare, [tmp_path]).fix
+    plan, _ = planned([tmp_path], leave_out="entries")
+    assert [row.id for row in plan.rows] == ["n0", "n1", "n2"]
 
 
 @pytest.mark.parametrize("head", ["", "parameter,value,unit\n"])

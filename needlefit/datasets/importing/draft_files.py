@@ -9,7 +9,7 @@ from itertools import permutations
 from pathlib import Path
 
 from needlefit.datasets.formats import FORMATS
-from needlefit.datasets.formats.markups import MARKUPS, is_plane
+from needlefit.datasets.formats.markups import MARKUPS, is_plane, read_markups
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_table import TableDraft
 from needlefit.datasets.importing.examples import EXAMPLE_SHEET
@@ -72,7 +72,7 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
             table, remarks = read_structured(path)
             draft.unused += [(remark, path.name) for remark in remarks]
             TableDraft(table, {"files": [path.name]}, draft).propose()
-            _ask_markups(path.name, table, draft)
+            _ask_markups(path, table, draft, files)
     for meaning, parts in draft.columns.items():
         if "column" in parts and draft.headers and meaning not in draft.columns_read:
             raise DataError(
@@ -107,14 +107,21 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
     return draft, files
 
 
-def _ask_markups(file: str, table: Table, draft: Draft) -> None:
-    """Ask about a curve of Slicer with few points: they may be of a boundary."""
+def _ask_markups(path: Path, table: Table, draft: Draft, files: Sequence[Path]) -> None:
+    """Ask about a list of Slicer with few points, perhaps of a boundary, or named as other needles."""
     key = f"tables.{len(draft.tables)}.holds"
-    is_open = file.endswith(MARKUPS.suffixes) and (key, "shapes") not in draft.numbered
-    for name, count in Counter(row[0] for row in table.rows if is_open).items():
+    if not path.name.endswith(MARKUPS.suffixes) or (key, "shapes") in draft.numbered:
+        return
+    for name, count in Counter(row[0] for row in table.rows).items():
         if count < MIN_POINTS:
-            answers = {"needle": {key: "shapes"}, "boundary": {"surfaces": file}}
-            draft.ask("markups", file, answers, name=name, count=count)
+            answers = {"needle": {key: "shapes"}, "boundary": {"surfaces": path.name}}
+            draft.ask("markups", path.name, answers, name=name, count=count)
+    others = {other.name.partition(".")[0] for other in files if other != path}
+    for markups in read_markups(path) if "leave_out" not in draft.values else ():
+        named = others.intersection(markups.labels)
+        if len(named) > 1 and not any(map(str.isdecimal, named)):  # Slicer itself counts points
+            answers = {"no": {"leave_out": markups.name}, "needle": {key: "shapes"}}
+            draft.ask("named_points", path.name, answers, name=markups.name)
 
 
 def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
