@@ -336,13 +336,8 @@ class _SliceProblem:
         count = len(self.start)
         x = np.linspace(-1, 1, count)
         modes = [np.ones(count), x, x**2 - 0.5, x**3 - 0.6 * x]
-        moved = []
-        for mode in modes:
-            for size in (step, -step):
-                one = theta.copy()
-                one[count : 2 * count] += size * self.thick * mode
-                moved.append(one)
-        return moved
+        along = np.eye(len(theta))[count : 2 * count] * self.thick
+        return [theta + size * mode @ along for mode in modes for size in (step, -step)]
 
     def first_misfit(self, theta: Floats) -> float:
         """Return what is minimized before the model's error is known."""
