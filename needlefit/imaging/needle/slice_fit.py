@@ -12,6 +12,7 @@ centres of cross-sections 0.007), their tips 0.30 and 0.34 mm too far (by `tip` 
 """
 
 from dataclasses import replace
+from itertools import cycle
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -274,7 +275,8 @@ class _SliceProblem:
             return np.stack([cost, less, np.where(less < 1, -(less**2), 0.0)])
 
         evaluated: list[Floats] = []  # the last residuals: of where slopes are asked for
-        used: list[list[Floats]] = []  # where slopes were asked for, with residuals and slopes
+        last: list[Floats] = []  # where slopes were asked for last, with residuals and slopes
+        turns = cycle(range(3))
 
         def residuals(there: Floats, scale: Floats) -> Floats:
             evaluated[:] = [self.residuals(there, scale)]
@@ -282,15 +284,15 @@ class _SliceProblem:
 
         # slopes serve two further steps, corrected by what each showed
         def slopes(there: Floats, scale: Floats) -> Floats:
-            if len(used) % 3:
-                before, left, jacobian = used[-1]
+            if next(turns):
+                before, left, jacobian = last
                 step = there - before
                 weight = step * np.sum(jacobian**2, axis=0)
                 missed = evaluated[0] - left - jacobian @ step
                 jacobian = jacobian + np.outer(missed, weight / (weight @ step))
             else:
                 jacobian = self.slopes(there, scale)
-            used.append([there, evaluated[0], jacobian])
+            last[:] = there, evaluated[0], jacobian
             return jacobian
 
         return least_squares(
