@@ -149,7 +149,9 @@ class StudyRecord(FitRecord):
     def tuning(self, folds: FoldsRecord | None = None) -> FitRecord:
         """Return the fit that this study, or one of its folds, begins with."""
         table = self.model_dump(by_alias=True, include=set(FitRecord.model_fields))
+        part = "fit to all insertions" if self.leave_out else ""
         if folds is not None:
-            table["tune"] = folds.tune.model_dump()
-            table["title"] = f"{self.title}: {folds.name}" if self.title else ""
+            part, table["tune"] = folds.name, folds.tune.model_dump()
+        if self.title and part:
+            table["title"] = f"{self.title}: {part}"
         return FitRecord.model_validate(table)

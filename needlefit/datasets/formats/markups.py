@@ -72,7 +72,7 @@ class Markups:
         raise DataError(
             f"`{self.name}` is a {self.kind}, which is no centreline",
             expected="an open curve (Curve), or points (Fiducial) from the entry to the tip",
-            fix="draw the needle as an open curve",
+            fix="draw the needle as an open curve, or leave out the file if it is no needle",
             where=self.path,
         )
 
