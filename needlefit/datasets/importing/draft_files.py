@@ -207,7 +207,9 @@ def _states_values(grid: Table) -> bool:
         return True
     names = [read_header(row[0]).meaning for row in grid.rows if any(row)]
     widths = {sum(map(bool, row)) for row in grid.rows}
-    is_narrow = 1 < max(widths) < 4 and not any(is_like_number(text) for row in grid.rows for text in row[2:])
+    is_narrow = 1 < max(widths, default=0) < 4 and not any(
+        is_like_number(text) for row in grid.rows for text in row[2:]
+    )
     return is_narrow and sum(name in VALUES for name in names) > 1
 
 
