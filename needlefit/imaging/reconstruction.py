@@ -11,7 +11,6 @@ from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface
-from needlefit.imaging.constants import MM
 from needlefit.imaging.needle.axis_spline import PLANE_SPACING_MM
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.point_spread import PointSpread
@@ -167,10 +166,10 @@ def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike
     local = frame.to_local(patient.to_world(needle))
     local = local[np.argsort(local[:, 0])]
     turned = Frame(patient.to_local(frame.origin[None])[0], patient.rotation.T @ frame.rotation)
-    before, margin = MM.REACH / 2, 2 * MM.BEYOND_END
-    # along the third axis a picture is averaged: the slab holds the needle whole, and its mean quiets the
+    before, margin = 35.0, 10.0  # mm that are shown before the entry, and beyond the tip and to the sides
+    # along the third axis a picture is averaged, mm: the slab holds the needle whole, and its mean quiets the
     # noise so that layers show
-    slab = np.linspace(-MM.PATCH / 2, MM.PATCH / 2, 7)
+    slab = np.arange(-1.2, 1.3, 0.4)
     right = _list_pixels(max(-before, float(local[0, 0]) - 2.0), float(local[-1, 0]) + margin)
     shown = local[local[:, 0] >= -before]
     views, half = [], PLANE_SPACING_MM / 2
