@@ -65,8 +65,8 @@ def find_record_warnings(
         fix = "delete their rows, and import again"
         yield ResultWarning("examples", problem, where("import.examples"), fix)
     if assumed:
-        listed = "; ".join(f"{key} ({why})" for key, why in assumed.items())
-        fix = "correct it, or import again with --set; then remove its line from [assumed]"
+        listed = ", ".join(f"{key} {why.partition(': ')[0]}" for key, why in assumed.items())
+        fix = "correct it, or import again with --set; then remove its line, which has the reason"
         yield ResultWarning("assumed", f"the import assumed {listed}", MAPPING_FILE, fix)
     noise = record.noise
     larger = "point" if noise.point_sd_mm >= noise.correlated_sd_mm else "correlated"
