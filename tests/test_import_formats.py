@@ -385,6 +385,15 @@ def test_an_entry_of_one_point_in_an_array_of_structs_is_a_tip(tmp_path):
     np.testing.assert_allclose(curves["n2"].line, CURVES[2][-1:])
 
 
+def test_an_archive_of_numpy_is_read_as_a_matlab_file_unless_it_holds_objects(tmp_path):
+    np.savez(tmp_path / "a.npz", **{f"n{n}": curve for n, curve in enumerate(CURVES)}, units="cm")
+    curves, _ = curves_of([tmp_path / "a.npz"])
+    for points, curve in zip(CURVES, curves.values(), strict=True):
+        np.testing.assert_allclose(curve.line, 10 * points, atol=1e-9)
+    np.savez(tmp_path / "b.npz", needles=np.array([*CURVES, None], dtype=object))
+    refusal(DataError, "", find_format(tmp_path / "b.npz").read_curves, tmp_path / "b.npz")
+
+
 def test_matlab_arrays_of_two_columns_are_curves_in_a_plane(tmp_path):
     curve = np.column_stack([np.linspace(0.0, 40.0, 9), np.linspace(0.0, 2.0, 9) ** 2])
     savemat(tmp_path / "a.mat", {"Versuch": [{"Nr": n, "Punkte": curve[: 9 - n]} for n in range(2)]})

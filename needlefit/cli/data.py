@@ -72,7 +72,7 @@ def import_data(
         list[Path],
         argument(
             "FILE_OR_FOLDER",
-            "Tables (.csv .tsv .txt .xlsx .xls .ods), .mat, RT structure sets (.dcm), Slicer markups "
+            "Tables (.csv .tsv .txt .xlsx .xls .ods), .mat, .npz, RT structure sets (.dcm), Slicer markups "
             "(.mrk.json .fcsv), surfaces (.stl .ply .obj).",
         ),
     ],

@@ -1,4 +1,4 @@
-"""Read MATLAB files: N x 3 or N x 2 arrays, also in structs and cells, and fields x, y and z.
+"""Read files of MATLAB and numpy: N x 3 or N x 2 arrays, also in structs and cells, and fields x, y and z.
 
 scipy and h5py read them, in a child process: scipy crashes on some damaged files.
 """
@@ -17,6 +17,7 @@ from needlefit.project.input_files import read_bytes
 from needlefit.project.reader_process import BYTES_PER_SECOND, Arrays, read_in_process, stated_memory_bytes
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"  # of HDF5, which MATLAB uses from version 7.3 on
+ZIP_SIGNATURE = b"PK"  # of archives of numpy (.npz)
 SIGNATURE_OFFSETS = (0, 512, 1024, 2048)  # bytes; its possible places behind MATLAB's own header
 MAX_SHOWN_VARIABLES = 20  # number of variables that a message lists
 MAX_EXPANSION = 8  # memory that the content of a file may take, as a multiple of the file's size
@@ -30,9 +31,9 @@ ARRAYS_FIX = (
 def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     """Return every curve that `FieldReader` finds among the variables, by name, and what is not used.
 
-    Reads versions 4 to 7 (scipy), 7.3 (h5py).
+    Reads MATLAB versions 4 to 7 (scipy), 7.3 (h5py), and archives of numpy.
 
-    DataError if the file is missing, is no MATLAB file, or holds no curve.
+    DataError if the file is missing, is none of these, or holds no curve.
     """
     data = read_bytes(path)
     memory = stated_memory_bytes() or MAX_EXPANSION * len(data)
@@ -66,6 +67,13 @@ def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict
         with h5py.File(BytesIO(data), "r") as file:
             named = [key for key in file if not key.startswith("#")]
             variables = {key: _read_hdf_value(file, _get_local_member(file, key)) for key in named}
+    elif data.startswith(ZIP_SIGNATURE):
+        try:
+            with np.load(BytesIO(data), allow_pickle=False) as archive:
+                variables = {key: value if value.ndim else value.item() for key, value in archive.items()}
+        except ValueError:
+            fix = "save an array of each needle: numpy.savez(file, n1=points1, n2=points2)"
+            raise DataError("holds Python objects", expected=EXPECTED_ARRAYS, fix=fix, where=path) from None
     else:
         opened: Any = BytesIO(data)  # which it takes, though its stubs do not state it
         variables = loadmat(opened, simplify_cells=True)
@@ -115,4 +123,4 @@ def _read_hdf_value(file: Any, item: Any) -> Any:  # noqa: ANN401 - h5py has no 
     return np.asarray(item[()]).T
 
 
-MAT = FileFormat("mat", (".mat",), read_curves)
+MAT = FileFormat("mat", (".mat", ".npz"), read_curves)

@@ -448,7 +448,7 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
             raise DataError("there is no such file", fix="check the name and the path", where=path)
         raise DataError(
             f"has the ending {path.suffix!r}, which is not read",
-            expected="a table, a workbook, .mat, .jsonl, markups of Slicer, or an RT structure set",
+            expected="a table, a workbook, .mat, .npz, .jsonl, markups of Slicer, or an RT structure set",
             fix=EXPORTS.get(path.suffix.lower(), EXPORTS["other"]),
             where=path,
         )
