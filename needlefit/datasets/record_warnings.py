@@ -196,7 +196,8 @@ def find_noise_warnings(checked: Checked) -> Iterator[ResultWarning]:
         yield ResultWarning("no_noise", problem, where("noise.point_sd_mm"), fix)
     if sd > MAX_NOISE_PART * largest:
         problem = f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most"
-        yield ResultWarning("noise", problem, where(_name_larger_sd(noise)), "check its unit, mm")
+        fix = "check its unit, mm, and that of the measurements"
+        yield ResultWarning("noise", problem, where(_name_larger_sd(noise)), fix)
     else:
         is_smoothed = record.measurement is not None and record.measurement.operator != "none"
         curves = [curve.insertion for curve in checked.curves if not curve.insertion.independent]
