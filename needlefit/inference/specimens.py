@@ -212,8 +212,12 @@ class Specimen:
         factor = np.linalg.cholesky(self.kernel + covariances)
         whiten = np.linalg.inv(factor)
         volume = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
-        white = whiten @ self.centres.T - whiten @ means[:, :, None]  # (W, Q, K)
-        return np.asarray(-0.5 * np.sum(white**2, axis=1) - volume[:, None])
+        densities = np.empty((len(means), len(self.centres)))
+        for start in range(0, len(means), MEANS_AT_ONCE):
+            some = slice(start, start + MEANS_AT_ONCE)
+            white = whiten[some] @ self.centres.T - whiten[some] @ means[some, :, None]  # (W, Q, K)
+            densities[some] = -0.5 * np.sum(white**2, axis=1) - volume[some, None]
+        return densities
 
 
 def make_specimen(draws: Floats) -> Specimen:
