@@ -98,7 +98,7 @@ def find_common(problem: Problem, theta: Floats) -> Explanation | None:
     in_plane = () if is_one_sided else (*_list_poses(problem, IN_PLANE), *list_boundary_shifts(problem))
     aside = _list_poses(problem, ASIDE) if problem.dataset.directions == 2 else ()
     found = explain([*in_plane, *aside], search, 0.0)
-    if found is None or not found.is_clear or found.change.cause == "given_way":
+    if found is None or not found.is_clear or not found.change.row.is_mistake:
         return None
     stated_sd = max(insertion.boundary_sd for insertion in problem.insertions)
     least = max(MIN_SHIFT_MM, SIGNIFICANT_SD * stated_sd, OUTLIER_SD * found.sd)

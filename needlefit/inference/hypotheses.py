@@ -49,6 +49,7 @@ class Hypothesis(NamedTuple):
     log_volume: Callable[[float, float], float] = lambda size, count: 0.0
     reaches_tip: bool = True  #: whether the points do
     changes_model: bool = False  #: whether another needle is simulated
+    is_mistake: bool = True  #: in data, which is named; else it competes with these alone
     report: Callable[[float], float] = float  #: the size -> the number that is reported
     common_sizes: tuple[float, ...] = ()  #: by which all needles alike may be changed so, mm or degrees
 
@@ -174,8 +175,8 @@ HYPOTHESES: Mapping[str, Hypothesis] = {
     ),
     "turned": Hypothesis(_turn, (-15.0, 15.0), (IN_PLANE, ASIDE), common_sizes=(-5.0, 0.0, 5.0)),
     "shifted": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), common_sizes=(-5.0, 0.0, 5.0)),
-    # no mistake: a guide, or soft tissue at the entry, gives way toward the bevel
-    "given_way": Hypothesis(_give_way, axes=(), common_sizes=(0.0, 2.5, 5.0)),
+    # a guide, or soft tissue at the entry, gives way toward the bevel
+    "given_way": Hypothesis(_give_way, axes=(), is_mistake=False, common_sizes=(0.0, 2.5, 5.0)),
     "stepped": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), _find_step),
     "boundary": Hypothesis(_move_boundary, (-30.0, 30.0), list_choices=list_boundaries, changes_model=True),
     "of_another": Hypothesis(_take_points, list_choices=_list_deeper, reaches_tip=False, changes_model=True),
