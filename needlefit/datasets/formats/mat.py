@@ -17,8 +17,8 @@ from needlefit.project.input_files import read_bytes
 from needlefit.project.reader_process import BYTES_PER_SECOND, Arrays, read_in_process, stated_memory_bytes
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"  # of HDF5, which MATLAB uses from version 7.3 on
-ZIP_SIGNATURE = b"PK"  # of archives of numpy (.npz)
 SIGNATURE_OFFSETS = (0, 512, 1024, 2048)  # bytes; its possible places behind MATLAB's own header
+ZIP_SIGNATURE = b"PK"  # of archives of numpy (.npz)
 MAX_SHOWN_VARIABLES = 20  # number of variables that a message lists
 MAX_EXPANSION = 8  # memory that the content of a file may take, as a multiple of the file's size
 EXPECTED_ARRAYS = "N x 3 or N x 2 arrays of numbers, or fields x, y and z, entry first"
@@ -73,7 +73,8 @@ def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict
                 variables = {key: value if value.ndim else value.item() for key, value in archive.items()}
         except ValueError:
             fix = "save an array of each needle: numpy.savez(file, n1=points1, n2=points2)"
-            raise DataError("holds Python objects", expected=EXPECTED_ARRAYS, fix=fix, where=path) from None
+            what = "holds an array of Python objects, or a damaged one"
+            raise DataError(what, expected=EXPECTED_ARRAYS, fix=fix, where=path) from None
     else:
         opened: Any = BytesIO(data)  # which it takes, though its stubs do not state it
         variables = loadmat(opened, simplify_cells=True)
