@@ -420,7 +420,9 @@ def _read_tracks(reading: _Reading, remarks: list[str]) -> tuple[list[Insertion]
         noise, where = make_noise(record.noise), format_place(reading.file)
         column = record.tip_tracks.columns.get("bevel_side", "bevel_side")
         reading.warnings += find_side_warnings([(track, str(path)) for track in tracks], noise, column)
-        reading.warnings += find_copy_warnings([(one, str(path), one.centerline) for one in tracks], noise)
+        reading.warnings += find_copy_warnings(
+            [(track, str(path), track.centerline) for track in tracks], noise
+        )
         reading.warnings += find_boundary_warnings(record, tracks, where)
         # under a guide that moves, a track is no smooth curve
         reading.warnings += find_scatter_warnings(
