@@ -1,10 +1,10 @@
-"""How often do fits of each kind of measurement find mu and b of needles of another program?
+"""How often do fits of each kind of measurement find mu and b of simulated needles?
 
     python benchmarks/labs.py [--sets 20] [--seed 100] [--kinds shapes,tips] [--recipe quick]
 
-Each set is a plain file of `tests/labs.py`, whose needles follow `tests/own_model.py`. It is imported with
---yes, and tuned by the command that the import prints. A row for each kind: sets, 95 % intervals that contain
-the truth, and the median ratio of their ends.
+Each set is a plain file of `tests/labs.py`. It is imported with --yes, and tuned by the command that the
+import prints. A row for each kind: sets, 95 % intervals that contain the truth, and the median ratio of their
+ends.
 """
 
 import argparse

@@ -8,27 +8,17 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from labs import BLOCK, LABS, ROD, TRUTH
+from labs import LABS, TRUTH, place
 from numpy.random import default_rng
-from own_model import Medium, Rod, insert
 from pytest import approx
 from reporting_results import print_nothing
 from test_cli import run
 
-from needlefit import Bevel, Needle, Tissue, simulate
 from needlefit.geometry.common_direction import fit_direction
 from needlefit.geometry.frames import normalize
 from needlefit.project.locate import shipped_folder
 
 PRINTED = re.compile(r"needlefit ((?:check|tune|validate|predict) \S[^\n]*)")
-
-
-def test_the_own_model_is_that_of_the_kernel():
-    medium = Medium([0.15, 0.04], [20.0], alpha=3.0)
-    needle, tissue = Needle(150.0, Rod().rigidity), Tissue([0.15, 0.04], alpha=3.0, boundaries=[20.0])
-    own, shape = insert(Rod(), medium, 0.15, 70), simulate(needle, tissue, Bevel(offset=0.15), 70.0)
-    assert own.tips[-1] == approx(shape.tip_track[-1, 0], abs=1e-6)
-    assert own.place(np.array([70.0]))[0] == approx([69.979, 1.972], abs=2e-3)
 
 
 @pytest.mark.parametrize(("sides", "most_deg"), [((1, -1), 0.25), ((1,), 4.0)])
@@ -37,8 +27,7 @@ def test_one_direction_is_fitted_to_all_needles(sides, most_deg):
     rng, along = default_rng(3), normalize([0.080, 0.992, 0.100])
     across, lines = normalize(np.cross(along, [0.0, 0.0, 1.0])), []
     for n, depth in enumerate((50, 60, 70, 80, 55, 65)):
-        needle = insert(ROD, BLOCK, TRUTH["bevel_mm"], depth, lambda _, n=n: sides[n % len(sides)])
-        points = needle.place(np.linspace(0.0, depth, 31))
+        points = place(depth, np.linspace(0.0, depth, 31), sides[n % len(sides)])
         lines.append(points[:, :1] * along + points[:, 1:] * across + rng.normal(0.0, 0.1, (31, 3)))
     found = fit_direction(lines)
     off_deg = np.degrees(np.arccos(found.vector @ along))
