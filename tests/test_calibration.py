@@ -6,12 +6,10 @@ import calibration
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-import pytest
 import scipy
 from pytest import approx
 from synthetic import find_twin_truth
 from synthetic.design import POPULATION, draw_deviations, draw_specimen, list_designs
-from test_simulated_data import small_problem
 
 from needlefit import api
 
@@ -54,19 +52,6 @@ def test_the_rows_of_the_documents_pass_from_the_prior_and_cover_tips_of_other_t
     tips = pd.read_csv(ROOT / "docs/figures/calibration_synthetic.csv").query("quantity == 'held-out tip'")
     assert tips.groupby("study")["seed"].nunique().tolist() == [40] * 5
     assert tips.groupby("study")["in_95"].mean().between(0.91, 1.0).all()
-
-
-def rank_small(count, monkeypatch):
-    monkeypatch.setattr(api, "make_problem", lambda _: small_problem())
-    rows = [calibration.rank_truth("small", seed) for seed in range(count)]
-    return pd.DataFrame([one | {"seed": seed} for seed, each in enumerate(rows) for one in each])
-
-
-@pytest.mark.sweep
-def test_needles_of_the_model_itself_are_calibrated(monkeypatch):
-    table = summarize(rank_small(25, monkeypatch))
-    assert list(table.index) == ["mu1_pa", "bevel_mm", "tip", "log likelihood"]
-    assert table["passes"].all()
 
 
 def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fitted_to():

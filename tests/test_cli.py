@@ -19,7 +19,6 @@ from needlefit.cli import main, screen
 from needlefit.cli.exit_codes import Invocation, report_error
 from needlefit.cli.options import name_changes
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
-from needlefit.project.locate import find_file
 from needlefit.project.toml import dumps
 from needlefit.reporting.table import TableColumn, TableLayout
 
@@ -51,14 +50,6 @@ def list_loaded(*words, **options):
     command = [sys.executable, "-c", code, *words]
     done = subprocess.run(command, capture_output=True, text=True, check=True, **options)
     return set(json.loads(done.stdout.splitlines()[-1]))
-
-
-def test_a_fit_loads_no_statistics_of_scipy(tmp_path):
-    fit = find_file("fit", "chicken").read_text()
-    (tmp_path / "quick.toml").write_text(fit.replace('"default"', '"quick"'))
-    loaded = list_loaded("tune", "./quick.toml", "--no-sample", "--quiet", cwd=tmp_path)
-    assert "scipy.stats" not in loaded  # 0.4 s
-    assert {"matplotlib", "scipy.optimize"} <= loaded
 
 
 @pytest.mark.parametrize(
@@ -132,19 +123,6 @@ def test_an_error_has_its_exit_code_and_what_where_expected_and_fix(error, code,
     err = capsys.readouterr().err
     assert not is_own or err == "needlefit: a.toml: negative\n  expected: a depth above 0\n  fix: change it\n"
     assert ("unexpected" in err) == (code == 1)
-
-
-@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that nobody may write to")
-@pytest.mark.parametrize(
-    "words",
-    [("new", "project", "x"), ("new", "workbook", "x.xlsx"), ("simulate", "phantom1", "--plot", "x.png")],
-)
-def test_an_unwritable_path_is_named(words, monkeypatch, capsys):
-    monkeypatch.chdir("/proc")
-    assert run(*words) == 3
-    captured = capsys.readouterr()
-    assert captured.out == "" and "unexpected" not in captured.err
-    assert all(part in captured.err for part in ("x", "cannot be", "fix: "))
 
 
 # --- streams that are closed, full, broken, or of few characters --------------------

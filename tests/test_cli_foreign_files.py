@@ -1,22 +1,19 @@
-"""Every command, with files of the user at every place that it writes: all of them are there afterwards."""
+"""Every command that writes a folder, with files of the user in it: all of them are there afterwards."""
 
 import dataclasses
 import shutil
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
-import typer
 from reporting_results import print_nothing, study
 from test_cli import run
 from test_datasets import write_mine
 from test_viewer_recording import recorded
 from world import build_project
 
-from needlefit.cli.application import build
 from needlefit.mechanics import scene
 from needlefit.project.checkpoint import open_checkpoint
-from needlefit.project.folders import MANIFEST, replace_folder, require_output_files, write_manifest
+from needlefit.project.folders import replace_folder, require_output_files, write_manifest
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.reporting.table_files import write_json
 from needlefit.studies import study_files as study_files  # bound before a test takes away what it imports
@@ -27,54 +24,18 @@ FOREIGN = ("notes.md", "errors_mine.csv", "slicer/mine.mrk.json", "quality/mine.
 EMPTY = "to be filled"
 """A folder of the user's that holds nothing yet."""
 
-
-class Case(NamedTuple):
-    """A command line, the folders in `out` that it replaces or removes, and its exit code."""
-
-    line: str
-    folders: str = ""
-    code: int = 0
-
-    @property
-    def places(self):
-        return [f"out/{name}" for name in self.folders.split()]
-
-
 CASES = {
-    "simulate": Case("simulate study2 --plot out/n.pdf --csv out/n.csv --slicer out/n.mrk.json"),
-    "view": Case("view study2 --no-browser --out out"),
-    "plan": Case("plan study2 --target 40,1 --write-recording out/plan.csv -q"),
-    "check": Case("check twin"),
-    "diff": Case("diff ./out/run ./out/run"),
-    "explain": Case("explain coverage"),
-    "tune": Case("tune held_out --out out -q", "held_out-tune held_out-tune.partial"),
-    "validate": Case(
-        "validate held_out --reference --out out -q", "held_out held_out.partial reference/held_out"
-    ),
-    "tune --design": Case("tune held_out --design --out out -q", "held_out-design held_out-design.partial"),
-    "predict": Case("predict held_out --scene ahead --out out -q", "predict-held_out-ahead"),
-    "report": Case("report ./out/run --out out/again", "again"),
-    "reconstruct": Case(f"reconstruct {SCANS} --out out/rr -q", "rr"),
-    "import": Case("import curves.csv --out out/found --yes", "found"),
-    "new project": Case("new project out/project", "project"),
-    "new workbook": Case("new workbook out/own.xlsx"),
-    "view --recording": Case("view --recording log.csv --no-browser --out out"),
-    "simulate --recording": Case(
-        "simulate --recording log.csv --plot out/n.pdf --csv out/n.csv --slicer out/n.mrk.json"
-    ),
+    "tune held_out --out out -q": "held_out-tune held_out-tune.partial",
+    "validate held_out --reference --out out -q": "held_out held_out.partial reference/held_out",
+    "tune held_out --design --out out -q": "held_out-design held_out-design.partial",
+    "predict held_out --scene ahead --out out -q": "predict-held_out-ahead",
+    "report ./out/run --out out/again": "again",
+    f"reconstruct {SCANS} --out out/rr -q": "rr",
+    "import curves.csv --out out/found --yes": "found",
+    "new project out/project": "project",
 }
-"""Those that take long, or serve until they are ended."""
-REFUSED = [(name, folder) for name, case in CASES.items() for folder in case.places]
-
-
-def test_every_command_has_a_case_here():
-    commands = typer.main.get_command(build()).commands
-    names = {
-        f"{name} {part}".strip()
-        for name, command in commands.items()
-        for part in getattr(command, "commands", [""])
-    }
-    assert {name.partition(" --")[0] for name in CASES} == names
+"""Command lines, and the folders in `out` that they replace or remove."""
+REFUSED = [(line, f"out/{name}") for line, folders in CASES.items() for name in folders.split()]
 
 
 def everything(folder):
@@ -132,7 +93,7 @@ def leave_run(folder):
 def test_folders_with_foreign_files_are_refused_before_the_run(command, place, whose, project, stubs, capsys):
     """The folder is the user's own, or one that needlefit wrote and the user added to."""
     folder = project / place
-    if "./out/run" in CASES[command].line:
+    if "./out/run" in command:
         leave_run(project / "out/run")
     plant(folder)
     if whose == "a result":
@@ -142,59 +103,11 @@ def test_folders_with_foreign_files_are_refused_before_the_run(command, place, w
         write_manifest(folder)
         plant(folder)
     before = everything(project)
-    assert run(CASES[command].line) == 3
+    assert run(command) == 3
     assert everything(project) == before
     printed = capsys.readouterr().err
     assert any(name in printed for name in FOREIGN) or "exists already" in printed
     assert str(folder) in printed or place in printed
-
-
-def beside(project):
-    """Plant files everywhere but in the folders that a command replaces."""
-    found = plant(project) | plant(project / "out") | plant(project / "out/other")
-    for name in ("held_out.partial-mine", "view", ".rr.needlefit-mine", "reference"):
-        found |= plant(project / "out" / name)
-    for name in ("out/n.obj", "out/n.png", "out/run.json", f"out/{MANIFEST}", "out/lock", "out/project.csv"):
-        (project / name).write_bytes(b"held_out")
-        found[str(project / name)] = b"held_out"
-    return found
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize("command", CASES)
-def test_other_files_in_the_folder_stay(command, project):
-    case, planted = CASES[command], beside(project)
-    if "./out/run" in case.line:
-        leave_run(project / "out/run")
-    log = (project / "log.csv").read_bytes()
-    codes = {case.code, 5} if command == "tune" else {case.code}  # a quick search may not converge
-    # the second time what it wrote is replaced
-    for _ in range(1 if command.startswith(("new", "import")) else 2):
-        assert run(case.line) in codes
-    for place in case.places:
-        assert (
-            any((project / place).iterdir())
-            if not place.endswith(".partial")
-            else not (project / place).exists()
-        )
-    after = everything(project)
-    assert {path: after.get(path) for path in planted} == planted
-    assert (project / "log.csv").read_bytes() == log
-
-
-@pytest.mark.parametrize("place", ["out/held_out-tune", "out/held_out-tune.partial"])
-def test_a_file_added_during_the_run_stays(place, project, stubs, monkeypatch, capsys):
-    def run_and_plant(name, record, settings):
-        results = Stub.run(name, record, settings)
-        plant(project / place)
-        return results
-
-    monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", run_and_plant)
-    partial = place.endswith(".partial")
-    assert run(CASES["tune"].line) == (0 if partial else 3)
-    assert all((project / place / name).is_file() for name in FOREIGN)
-    assert "notes.md" in capsys.readouterr().err
-    assert (project / "out/held_out-tune/run.json").is_file() == partial
 
 
 # --- names, folders and inputs are checked before the work --------------------

@@ -59,14 +59,6 @@ def test_results_that_do_not_agree_with_the_manifest_are_not_reported_on(written
     refusal(DataError, RESULTS_FILE, needlefit.load_run, written)
 
 
-def test_results_that_cannot_be_read_are_refused(content, tmp_path):
-    refusal(DataError, "no stored results", restore_run, tmp_path)
-    packed = gzip.compress(json.dumps(content).encode())
-    for damaged in (packed[: len(packed) // 2], b"{}", gzip.compress(b"{}")):
-        (tmp_path / RESULTS_FILE).write_bytes(damaged)
-        fault(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("key", "value"),
     [

@@ -13,11 +13,9 @@ import pytest
 from made_again import assert_made_again, read_files
 from world import COMMANDS, find_words
 
-from needlefit.errors import ConfigError
 from needlefit.studies.kind import KINDS
 from needlefit.studies.run_differences import compare_runs
 from needlefit.studies.store import read_run
-from needlefit.studies.study_files import load_target
 
 EVERY = pytest.mark.parametrize("kind", list(COMMANDS))
 WRITTEN = {"needlefit.json", "report.html", "report.pdf", "results.json.gz", "run.json", "timing.json"}
@@ -87,13 +85,3 @@ def test_a_run_that_is_killed_resumes_to_the_same_bytes_with_other_jobs_in_other
     found = read_files(out / COMMANDS[kind].folder)
     assert found.keys() == expected.keys()
     assert [name for name in expected if found[name] != expected[name]] == []
-
-
-def test_the_folder_of_a_run_names_the_fit_that_was_made_there(world):
-    with chdir(world.folder):
-        for kind, named in (("cross_validation", "held_out"), ("fit", "gel")):
-            name, record, _, path, _ = load_target(str(world.find(kind)))
-            assert (name, record) == load_target(named)[:2]
-            assert path == world.find(kind) / "run.json"
-        with pytest.raises(ConfigError, match="identification"):
-            load_target(str(world.find("identification")))

@@ -2,20 +2,18 @@
 
 import re
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from reporting_results import stereo, study, with_predictions
-from test_judge import with_tip_errors
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 from world import COMMANDS
 
 from needlefit.cli.execution import show_run
-from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.reporting.document import compile_html
 from needlefit.reporting.figures import style
-from needlefit.studies.answer import Check, FaultKind, RunFault
+from needlefit.studies.answer import FaultKind, RunFault
 from needlefit.studies.combined_report import compose_overview
 from needlefit.studies.fit_tables import lay_out_matrix
 from needlefit.studies.report import (
@@ -27,62 +25,30 @@ from needlefit.studies.report import (
 )
 
 TERMINAL = SimpleNamespace(explain=False, noted=(), warned=False, json=False)
-KINDS = ("point_outlier", "noise_too_large", "validity", "predictive_median", "placeholder")
-
-
-def make_finding(seed):
-    """Return a study of one fit or of several, with errors, intervals, warnings and faults by chance."""
-    rng = np.random.default_rng(seed)
-    results = study(int(rng.integers(1, 6))) if seed % 2 else stereo()
-    errors = {
-        name: (float(rng.choice([0.02, 0.2, 0.6, 2.0]) * rng.uniform(0.9, 1.1)), 0.01)
-        for name in ("fitted", "straight", "constant_curvature", "linear_curvature")
-    }
-    results = with_predictions(with_tip_errors(results, **errors), tuple(rng.uniform(0, 1, 4)))
-    kinds = [kind for kind in KINDS if rng.random() < 0.15]
-    results = results.with_metadata(warnings=to_stored_rows(ResultWarning(kind, kind) for kind in kinds))
-    faults = (RunFault(FaultKind.NOT_CONVERGED, "the chains"),) if rng.random() < 0.15 else ()
-    return replace(results, faults=faults, interrupted=bool(rng.random() < 0.1))
 
 
 def read(block):
     return block["text"] if isinstance(block["text"], str) else "".join(run["text"] for run in block["text"])
 
 
-def check_agreement(results):
-    """Check that title, table, checks and advice of a first page agree, and return the page."""
+@pytest.mark.parametrize("is_converged", [True, False])
+@pytest.mark.parametrize("make", [stereo, partial(study, 2)])
+def test_every_output_prints_the_record(make, is_converged, tmp_path, capsys):
+    faults = () if is_converged else (RunFault(FaultKind.NOT_CONVERGED, "the chains"),)
+    results = replace(with_predictions(make()), faults=faults, interrupted=False)
     page = results.first_page
-    verdict, checks = page.verdict, {one.check: one.passed for one in page.checks}
-    closer, numbers = checks[Check.CURVES], verdict.numbers
-    assert verdict.status in {True: ("pass", "warn"), None: ("warn",), False: ("fail", "warn")}[closer]
-    assert verdict.status != "pass" or results.reliable
-    if page.advice.finding == "curve_closer":
-        assert closer is False and numbers["baseline_te_mm"] < numbers["te_mm"]
-    if page.advice.finding == "curve_as_good":
-        assert closer is None
-    if page.advice.finding == "predictable":
-        assert verdict.status == "pass" and False not in checks.values()
-    assert checks[Check.DATA] is not bool(page.warnings)
-    if not results.reliable:
-        assert page.advice.finding == "not_converged" and verdict.word != numbers["outcome"]
-    row = lay_out_matrix([results]).rows[0]
-    assert row[-1] == verdict.word
-    (shown,) = (one for one in compose_first_page(page) if one["kind"] == "verdict")
-    assert (read(shown), shown["status"]) == (f"{verdict.sentence}.", verdict.status)
-    combined = [one for one in compose_overview([results], []).blocks if one["kind"] == "verdict"]
-    assert all(read(one).endswith(read(shown)) and one["status"] == verdict.status for one in combined)
-    return page
-
-
-@pytest.mark.parametrize("seed", range(16))
-def test_title_table_checks_and_advice_agree(seed, tmp_path, capsys):
-    results = make_finding(seed)
-    page = check_agreement(results)
-    assert set(KINDS[:3]) & {one.kind for one in results.warnings} == {one.kind for one in page.warnings}
-    assert run_to_json(results)["verdicts"][0]["sentence"] == page.verdict.sentence
+    verdict = page.verdict
+    assert is_converged == (page.advice.finding != "not_converged") and (
+        is_converged or verdict.status != "pass"
+    )
+    assert lay_out_matrix([results]).rows[0][-1] == verdict.word
+    for blocks in (compose_first_page(page), compose_overview([results], []).blocks):
+        (shown,) = (one for one in blocks if one["kind"] == "verdict")
+        assert read(shown).endswith(f"{verdict.sentence}.") and shown["status"] == verdict.status
+    assert run_to_json(results)["verdicts"][0]["sentence"] == verdict.sentence
     show_run(TERMINAL, results, tmp_path / "run")
     printed = " ".join(capsys.readouterr().out.split())
-    assert printed.startswith(page.answer) and page.advice.words in printed
+    assert printed.startswith(page.answer)
     assert printed.index(page.advice.words) < printed.index(page.method)
 
 

@@ -1,10 +1,8 @@
 """Warnings about a finished fit: parameters at bounds, empirical curves that are closer, shared specimens."""
 
 import ast
-import json
 import math
 import re
-import shutil
 from pathlib import Path
 
 import inference_cases
@@ -14,9 +12,7 @@ import pytest
 from inference_cases import TRUTH, two_layers
 from pytest import approx
 from reporting_results import study
-from test_cli import run
 from test_datasets import CURVE, record, row
-from world import PROJECT
 
 import needlefit
 from needlefit.datasets.folds import make_folds, warn_shared_specimens
@@ -35,7 +31,6 @@ from needlefit.studies.identification import (
     add_intervals,
     intervals_of_draws,
 )
-from needlefit.studies.load import DATA_WARNINGS
 
 
 def warn(key, results):
@@ -121,22 +116,15 @@ def test_a_residual_that_all_insertions_share_is_named(signs, count):
     assert len(warn("shared_residual", results.with_frames(shapes=shapes))) == count
 
 
-def test_a_needle_that_the_others_do_not_predict_is_named_with_what_may_have_happened_to_it():
-    row = {"insertion": "n5", "place": "insertions.csv:6", "sds": 6.3}
-    for cause, size, printed in (("scaled", 0.5, "0.5"), ("turned", -3.0, "3"), ("", None, "n5")):
-        odd = study(1).with_metadata(odd_needles=[row | {"cause": cause, "size": size}])
-        (one,) = warn("needle_outlier", odd)
-        assert all(part in one.what for part in ("n5", printed, "6.3"))
-        assert one.where == "insertions.csv:6"
-    assert warn("needle_outlier", study(1)) == []
-
-
 def test_a_boundary_that_the_data_put_elsewhere_and_parameters_of_no_tissue_or_bevel_are_named():
     results = study(1)
     row = {"cause": "boundary", "where": "1", "size": -5.0, "sd": 1.0, "stated": 20.0}
     (shifted,) = warn("boundary_shift", results.with_metadata(common_doubt=row))
     assert all(part in shifted.what for part in ("15", "20"))
     assert warn("needle_outlier", results.with_metadata(common_doubt=row)) == []
+    odd = {"insertion": "n5", "place": "insertions.csv:6", "sds": 6.3, "cause": "scaled", "size": 0.5}
+    (named,) = warn("needle_outlier", results.with_metadata(odd_needles=[odd]))
+    assert named.where == "insertions.csv:6"
     assert warn("units", results) == []
     parameters = results.frames["parameters"]
     is_mu = (parameters["parameter"] == "mu1_pa") & (parameters["method"] == "fitted")
@@ -188,42 +176,6 @@ def test_specimens_on_both_sides_are_named_unless_the_study_leaves_specimens_out
         with pytest.raises(ConfigError) as caught:
             shared(**copied)
         assert all(name in str(caught.value) for name in ("a", "d")) and caught.value.key == "validate"
-
-
-FLIPPED = """schema = 1
-dataset = "./data"
-medium = "gel"
-recipe = "tiny"
-tune = { insertions = ["a", "b"] }
-"""
-
-
-@pytest.fixture
-def flipped(tmp_path, monkeypatch):
-    """A fit to needles whose bevels are stated to face the other side."""
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(PROJECT / "configs", tmp_path / "configs")
-    rows = [row(name, "gel", layers=2, bevel=np.array([0, 1.0, 0]), side=-1) for name in "ab"]
-    tables = record(media={"gel": {"boundaries_mm": [20.0]}}, noise={"point_sd_mm": 0.02})
-    write_dataset(tmp_path / "data", tables, rows, dict.fromkeys("ab", CURVE), {})
-    (tmp_path / "fit.toml").write_text(FLIPPED)
-    return tmp_path
-
-
-CAUSE_AND_EFFECT = {"bevel_side", "parameter_at_bound"}
-
-
-@pytest.mark.sweep
-def test_tune_prints_its_warnings_and_writes_the_result_all_the_same(flipped, capsys):
-    assert run("tune", "./fit.toml", "-q", "--strict") == 5
-    err = capsys.readouterr().err
-    warnings = json.loads((flipped / "reports/fit/run.json").read_text())["warnings"]
-    assert {one["kind"] for one in warnings} >= CAUSE_AND_EFFECT
-    # That of the data is printed before the fit begins, and again with all others at its end.
-    assert [one["kind"] for one in warnings if one["kind"] in DATA_WARNINGS] == ["bevel_side"]
-    assert err.count("needlefit: warning: ") == 1 + len(warnings)
-    assert err.count(" (needlefit explain ") == 1 + len(warnings)  # each has its page
-    assert err.count("data/insertions.csv:2") == 2
 
 
 def _kinds_in_sources():

@@ -14,18 +14,14 @@ from test_datasets import without_checksums
 from world import copy_project
 
 from needlefit.datasets.digests import _READ
-from needlefit.errors import ConfigError
-from needlefit.project.checkpoint import open_checkpoint, release_checkpoint
-from needlefit.project.folders import write_manifest
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml import dumps
 from needlefit.schemas import dataset as dataset_schemas
 from needlefit.schemas import medium, recipe, study
 from needlefit.schemas.deciding import UNDECIDING, select_deciding
-from needlefit.studies.identity import JUDGING, RESOLVED, describe_change, describe_configuration, identify
+from needlefit.studies.identity import JUDGING, RESOLVED, describe_configuration, identify
 from needlefit.studies.job import Settings
 from needlefit.studies.load import load_study
-from needlefit.studies.store import pack, unpack
 from needlefit.studies.study_files import load_study_file
 
 IDS = [f"phantom2-{n:02}" for n in (1, 2, 4, 7, 8, 9)]
@@ -231,6 +227,11 @@ def test_a_copy_with_comments_other_names_and_needles_that_are_not_fitted_has_th
     table.write_text("".join(one for one in lines if not one.startswith(IDS[5])))
     monkeypatch.chdir(folder)
     assert identify(load(folder, "renamed")) == known["s"]
+    works = []
+    for seed in (1, 1, 2):
+        edit(folder / "recipe.toml", "", {"seed": seed})
+        works.append(describe_configuration(load(folder, "renamed")).work)
+    assert works[0] == works[1] != works[2]  # of an interrupted run, which goes on or does not
 
 
 def test_the_fit_of_a_study_does_not_know_what_is_held_out(project, tmp_path, monkeypatch):
@@ -245,35 +246,6 @@ def test_the_fit_of_a_study_does_not_know_what_is_held_out(project, tmp_path, mo
     fit, study = identities()
     edit(folder / "s.toml", "", {"validate": [{"insertions": IDS[5:]}], "margin_mm": 0.7})
     assert identities()[0] == fit and identities()[1] != study
-
-
-def test_what_changed_is_named(project, tmp_path, monkeypatch):
-    folder = tmp_path / "project"
-    shutil.copytree(project, folder)
-    monkeypatch.chdir(folder)
-    before = identify(load(folder))
-    edit(folder / "s.toml", "", {"tune.insertions": [*IDS[:2], IDS[5]]})
-    edit(folder / "recipe.toml", "", {"starts": 3})
-    edit(folder / "gel.toml", "", {"thickness_mm": 30.0})
-    leave_out_a_point(folder / f"shapes/centerlines/{IDS[1]}.csv")
-    words = describe_change(before, identify(load(folder)))
-    named = [one for one in (*IDS, "recipe", "tissue model", "options") if one in words]
-    assert named == [*IDS[1:4], IDS[5], "recipe", "tissue model"]
-    assert f"{IDS[2]}, {IDS[3]} removed" in words and f"{IDS[1]} with other data" in words
-    assert describe_change(before, before) == ""
-
-
-def test_an_interrupted_run_goes_on_with_the_same_identity_alone(project, tmp_path, monkeypatch):
-    folder, kept = tmp_path / "project", tmp_path / "s.partial"
-    shutil.copytree(project, folder)
-    monkeypatch.chdir(folder)
-    open_checkpoint(kept, False, describe_configuration(load(folder)).work).keep_row("fit", {"n": 1})
-    edit(folder / "s.toml", "", {"title": "Another"})
-    assert open_checkpoint(kept, True, describe_configuration(load(folder)).work).rows("fit") == [{"n": 1}]
-    edit(folder / "recipe.toml", "", {"seed": 2})
-    with pytest.raises(ConfigError):
-        open_checkpoint(kept, True, describe_configuration(load(folder)).work)
-    release_checkpoint(kept)
 
 
 # ---- verdicts
@@ -294,23 +266,6 @@ def predict():
     """Predict with the study; return what its result knows of the verdict."""
     assert run("predict ./studies/held_out.toml --scene ahead --quiet --jobs 1") in (0, 5)
     return json.loads(Path("reports/predict-held_out-ahead/run.json").read_text())
-
-
-def forget_identity(folder):
-    """Make a stored result one of an earlier version."""
-    table = unpack(folder)
-    del table["run"]["identity"]
-    pack({key: value for key, value in table.items() if key != "format"}, folder)
-    write_manifest(folder)
-
-
-def test_a_result_of_an_earlier_version_is_reported_and_its_verdict_is_not_repeated(validated, capsys):
-    forget_identity(validated / "reports/held_out")
-    found = predict()
-    assert found["fit_verdict"] is None and "not recorded" in found["fit_changed"]
-    assert "needlefit validate ./studies/held_out.toml" in capsys.readouterr().err
-    assert run("report reports/held_out --quiet") == 0
-    assert run("diff reports/held_out reports/held_out") == 0
 
 
 def test_a_posterior_of_another_fit_is_not_used(validated, capsys):

@@ -8,7 +8,6 @@ computes them in WebAssembly. What is not installed is skipped.
 """
 
 import hashlib
-import json
 import shutil
 import subprocess
 import sys
@@ -101,22 +100,3 @@ def test_webassembly_gives_the_same_bytes(cases, tmp_path):
     files = [native.FOLDER / "memory.js", native.FOLDER / "kernel.wasm", cases[0], tmp_path / "results"]
     subprocess.run(["node", str(HERE / "driver.mjs"), *map(str, files)], check=True)
     assert digest(files[-1].read_bytes()) == cases[1]
-
-
-def test_every_library_of_the_package_gives_the_same_bytes(cases, tmp_path):
-    """Each in a process of its own, since one is loaded once."""
-    index = json.loads((native.FOLDER / "libraries.json").read_text())
-    own = native.load_library().nf_processor_level()
-    program = (
-        "import sys; sys.path.insert(0, sys.argv[1])\n"
-        "import hashlib, test_native_same_bytes as t\n"
-        "found = hashlib.sha1()\n"
-        "for one in t.list_problems(t.INSERTIONS): found.update(t.compute_results(*one))\n"
-        "print(found.hexdigest())"
-    )
-    names = [name for name in index["files"] if name.startswith("kernel-v") and int(name[8]) <= own]
-    for name in names:
-        environment = {"NEEDLEFIT_LIBRARY": str(native.FOLDER / name), "PYTHONPATH": ":".join(sys.path)}
-        words = [sys.executable, "-c", program, str(Path(__file__).parent)]
-        done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
-        assert done.stdout.split()[-1] == cases[1], name

@@ -12,11 +12,10 @@ from pytest import approx
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 from test_viewer_placement import fitted
 
-from needlefit.geometry.curves import TIP_POINTS
 from needlefit.reporting import needle_page
 from needlefit.reporting.document import compile_html
 from needlefit.schemas.run_metadata import NeedleMetadata
-from needlefit.studies.explorer import collect_explorer, find_prediction
+from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.report import compose_run_report
 
 pytestmark = pytest.mark.skipif(
@@ -72,14 +71,6 @@ def test_the_page_holds_every_scored_insertion(page, result):
         assert len(draws["mu"]) == layers * draws["sets"] and len(draws["strength"]) == draws["sets"] <= 200
     assert len(text) < MOST_BYTES and HOSTILE not in text
     assert not re.search(r"(src|href)=\"https?:", re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL))
-
-
-def test_of_a_predicted_tip_the_tip_is_drawn_and_its_error_is_that_of_the_verdict(result):
-    shapes, errors = result.frames["shapes"], result.frames["errors"].query("method == 'prediction'")
-    tips = result.with_frames(shapes=shapes[shapes["j"] < TIP_POINTS])
-    for row in errors.to_dict("records"):
-        found = find_prediction(tips, row["fold"], row["role"], row["insertion"])
-        assert len(found["x"]) == len(found["y"]) == 1 and found["errors"]["te_mm"] == row["te_mm"]
 
 
 def test_each_insertion_of_the_page_has_its_needle(result):

@@ -18,7 +18,6 @@ from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import check, read
 from needlefit.datasets.select import find_repeats
 from needlefit.errors import DataError, UnfinishedWorkError
-from needlefit.geometry.curves import compare_curves
 from needlefit.inference.error_tolerance import estimate_tolerance
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observations import SimulatedCurve, estimate_floor, list_comparisons
@@ -87,12 +86,6 @@ def test_the_floor_of_readings_is_that_of_their_errors():
     floor = estimate_floor(dataset([], Noise()), one, default_rng(1))
     assert floor["curvature_rms_1_per_m"] == approx(1e3 * SD, rel=0.1)
     assert np.isnan(floor["te_mm"]) and "te_integrated_mm" not in floor
-
-
-def test_metrics_of_places_are_not_of_curvatures():
-    readings = np.array([[10.0, 1.0, 0.0], [20.0, 2.0, 0.0]])
-    off = compare_curves(readings + np.array([0.0, 0.5, 0.0]), readings, "plane", "curvatures")
-    assert compute_metrics(off) == {"curvature_rms_1_per_m": approx(0.5)}
 
 
 DATASET = (
@@ -182,18 +175,6 @@ def mixed(tmp_path_factory):
     return write_study(folder, toml, rows, [*made, replace(read_sensors(55.0, seed=9), id="m0")])
 
 
-def test_a_fit_to_curvatures_finds_the_truth_and_is_judged_by_their_errors(study):
-    run = nf.fit(study)
-    rows = run.frames["parameters"].set_index("parameter").query("method == 'fitted'")
-    for name in ("mu1_pa", "bevel_mm"):
-        assert rows.loc[name, "interval_low"] < TRUTH[name] < rows.loc[name, "interval_high"]
-    verdict = run.first_page.verdict
-    error, nearest = (verdict.numbers[f"{head}curvature_rms_1_per_m"] for head in ("", "baseline_"))
-    assert error == approx(1e3 * SD, rel=0.3) and nearest > 2 * error
-    assert "te_mm" not in verdict.numbers and verdict.status != "fail"
-    assert len(run.frames["curvature"]["insertion"].unique()) == 5
-
-
 def test_what_a_narrow_prior_states_of_a_parameter_is_from_the_prior(study):
     """Of mu1 one needle leaves a factor of 3 or more; a prior of 5 % about the truth is not narrowed."""
     prior = {"median": TRUTH["mu1_pa"], "factor": 1.05}
@@ -206,17 +187,6 @@ def test_what_a_narrow_prior_states_of_a_parameter_is_from_the_prior(study):
         limits[name] = rows.loc["mu1_pa", "condition"], rows.loc["mu1_pa", "determined"]
         limits[name] += (rows.loc["bevel_mm", "condition"],)
     assert limits["stated"] == ("from the prior", "no", "") and "from the prior" not in limits[""]
-
-
-def test_held_out_needles_are_predicted_by_their_readings(study):
-    run = nf.validate(study)
-    predicted = run.frames["predictive"]
-    assert len(predicted) == 5 and predicted["tip_in_95"].isna().all()
-    assert predicted["shape_in_95"].sum() >= 4
-    assert predicted["curvature_crps_1_per_m"].between(0.5e3 * SD / 2, 2e3 * SD).all()
-    assert run.frames["curvature"]["kappa_in_95"].mean() > 0.85
-    (intervals,) = (one for one in run.first_page.checks if one.check == "intervals_95")
-    assert (intervals.tips, intervals.score) == (5, "curvature_rms_1_per_m")
 
 
 def test_a_tip_beside_a_shape_is_scored_and_drawn_by_itself(mixed, validated):

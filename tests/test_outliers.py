@@ -6,11 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 from test_datasets import record, row
 
 from needlefit.datasets.interpolated import count_independent
-from needlefit.datasets.needles import describe_rigidity
 from needlefit.datasets.points import find_rounding
 from needlefit.datasets.read import inspect
 from needlefit.datasets.spellings import find_spellings
@@ -19,7 +17,6 @@ from needlefit.geometry.neighbours import leave_one_out
 from needlefit.inference.likelihood.observation import StatedErrors
 from needlefit.inference.likelihood.observations.points import POINTS
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.schemas.scene import NeedleRecord
 from needlefit.studies.advice import classify_doubt, list_contradictions
 
 UP, POINT_SD, SHIFT_SD, ANGLE_SD_DEG = np.array([0.0, 1.0, 0.0]), 0.05, 0.05, 0.1
@@ -85,25 +82,6 @@ def test_a_point_off_its_curve_is_named_with_its_row_and_alone(tmp_path, index, 
     assert (one.kind, one.where) == ("point_outlier", f"{tmp_path}/centerlines/n6.csv:{line}")
     assert "n6" in one.what and words in one.what
     assert float(re.search(r"by ([-+\d.]+) mm", one.what)[1]) == pytest.approx(off_mm, abs=0.3)
-
-
-@pytest.mark.parametrize(
-    ("kind", "change"),
-    [
-        ("entry_offset", move(0, 0, 20 * SHIFT_SD)),
-        ("bevel_plane", Rotation.from_euler("y", 3, degrees=True).apply),
-        ("bevel_side", lambda points: points * [1, -1, 1]),
-        ("length", lambda points: points[1:]),
-    ],
-)
-def test_a_needle_that_contradicts_what_is_stated_of_it_is_named(tmp_path, kind, change):
-    curves = measure_needles(2)
-    depths = {name: float(np.linalg.norm(np.diff(one, axis=0), axis=1).sum()) for name, one in curves.items()}
-    curves["n5"] = change(curves["n5"])
-    found = inspect(write_needles(tmp_path, curves, depths=depths))
-    texts = [(kind, one.what + one.where) for one in found.faults]
-    texts += [(one.kind, one.what) for one in found.warnings]
-    assert (kind, True) in [(name, "n5" in text) for name, text in texts]
 
 
 @pytest.mark.parametrize("factor", [0.3, 3.0])
@@ -199,14 +177,6 @@ def test_contradictions_of_needles_that_are_left_out_do_not_count():
     # a needle is named by a fit, a point before it
     doubts = ["result_doubtful", "dataset_doubtful", "dataset_doubtful"]
     assert list(map(classify_doubt, found[1:])) == doubts
-
-
-def test_the_values_behind_a_rigidity_stand_with_their_origins():
-    needle = NeedleRecord(length_mm=150.0, outer_diameter_mm=0.908, youngs_modulus_gpa=60.0)
-    assert describe_rigidity(needle, ()) == "diameter 0.908 mm, solid, 60 GPa from dataset.toml"
-    assert "60 GPa assumed" in describe_rigidity(needle, {"modulus"})
-    stated = NeedleRecord(length_mm=150.0, flexural_rigidity_nmm2=2000.0)
-    assert describe_rigidity(stated, ()) == "stated in dataset.toml"
 
 
 @pytest.mark.parametrize(("value", "step", "named"), [(0.0, 0.0, True), (1.0, 0.0, True), (0.0, 1.0, False)])

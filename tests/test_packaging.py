@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import sysconfig
 import tarfile
 import tomllib
 from pathlib import Path
@@ -89,71 +88,15 @@ def test_the_source_archive_holds_the_project_and_no_results(built):
     assert [name for name in inside if any(stray in name for stray in strays)] == []
 
 
-LOAD = "from needlefit.mechanics import native; native.load_library(); print(native.FOLDER)"
-
-
-class Checkout:
-    """The unpacked source archive, and an environment to install it into; HOME is a folder of its own."""
-
-    def __init__(self, place, archive):
-        with tarfile.open(archive) as tar:
-            tar.extractall(place, filter="data")
-        (self.root,) = place.glob("needlefit-*")
-        self.folder = self.root / "needlefit" / "mechanics" / "native"
-        self.home, self.python = place / "home", place / "venv" / "bin" / "python"
-        self.home.mkdir()
-        call(sys.executable, "-m", "venv", str(place / "venv"))
-        cache = call(sys.executable, "-m", "pip", "cache", "dir").strip()
-        kept = {
-            name: value for name, value in os.environ.items() if not name.startswith(("NEEDLEFIT", "PYTHON"))
-        }
-        self.environment = kept | {"HOME": str(self.home), "PIP_CACHE_DIR": cache}
-
-    def run(self, *words, **settings):
-        return subprocess.run(
-            [str(self.python), *words],
-            cwd=self.home, env=self.environment | settings, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-
-    def install(self, *words, **settings):
-        return self.run("-m", "pip", "install", "--no-deps", *words, **settings)
-
-    def use_packages_of_this_environment(self):
-        """Let the new environment see what the tests run with: NumPy, hatchling, the compiler."""
-        (site,) = self.root.parent.glob("venv/lib/python*/site-packages")
-        (site / "tests.pth").write_text(sysconfig.get_path("purelib") + "\n")
-
-    def load(self):
-        self.use_packages_of_this_environment()
-        return self.run("-c", LOAD)
-
-
-@pytest.fixture
-def checkout(built, tmp_path):
+@pytest.mark.on_demand
+def test_one_command_builds_the_wheels_of_all_platforms(built, tmp_path):
+    """Of the unpacked source archive, with the packages of this environment."""
     (archive,) = built.glob("*.tar.gz")
-    return Checkout(tmp_path, archive)
-
-
-@pytest.mark.on_demand
-def test_pip_installs_with_nothing_but_python_and_leaves_no_caches(checkout):
-    """No compiler is on the PATH; that of the wheel keeps its files in a temporary folder."""
-    done = checkout.install(str(checkout.root), PATH=str(checkout.python.parent))
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert Path(checkout.load().stdout.strip()).is_relative_to(checkout.root.parent / "venv")
-    assert list(checkout.home.iterdir()) == []
-
-
-@pytest.mark.on_demand
-def test_one_command_builds_the_wheels_of_all_platforms(checkout):
-    checkout.use_packages_of_this_environment()
-    out = checkout.home / "dist"
-    done = subprocess.run(
-        [str(checkout.python), "hatch_build.py", str(out)],
-        cwd=checkout.root,
-        env=checkout.environment,
-        check=False,
-    )
-    assert done.returncode == 0
+    with tarfile.open(archive) as tar:
+        tar.extractall(tmp_path, filter="data")
+    (root,) = tmp_path.glob("needlefit-*")
+    out = tmp_path / "dist"
+    call(sys.executable, "hatch_build.py", str(out), cwd=root)
     tags = {wheel.name.split("-none-")[1].split("_")[0] for wheel in out.glob("*.whl")}
     assert tags == {"manylinux", "musllinux", "macosx", "win"} and len(list(out.glob("*.whl"))) == 7
 

@@ -282,13 +282,6 @@ def test_a_plan_from_first_contact_does_not_depend_on_the_roll_that_a_scene_stat
     assert [found[0][key] for key in keys] == [found[1][key] for key in keys] and found[0]["reached"]
 
 
-def test_a_goal_of_the_plane_becomes_one_in_space():
-    goal = Goal((45.0, 3.0, 1.0), 1.5, (sphere("a", (20.0, 1.0, 0.5)),))
-    assert goal.directions == 2 and goal.to_space() == goal
-    lifted = cut_plane(replace(goal, target=(45.0, 3.0, 0.0))).goal.to_space()
-    assert lifted.target == (45.0, 3.0, 0.0) and lifted.obstacles[0].centre_mm == (20.0, 1.0, 0.0)
-
-
 def test_an_uncertain_gain_of_the_base_spreads_the_misses(tmp_path, capsys):
     line, most = "--target 45,2 --radius 0.5 --turns 0 --gain-sd", []
     for gain_sd in (0, 0.25):

@@ -1,13 +1,11 @@
 """Predictions before any data: published moduli, priors of a tissue model, and the command."""
 
-import json
 import math
 
 import numpy as np
 from inference_cases import medium
 from pytest import approx
 from refusals import refusal
-from test_cli import run
 
 from needlefit import open_scene
 from needlefit.errors import ConfigError
@@ -54,12 +52,3 @@ def test_errors_of_the_entry_pose_move_the_tip():
     assert np.std(found.tips[:, 1:], axis=0) == approx(math.hypot(0.4, turned), rel=0.1)
     shares = [found.shares[name] for name in ("pose_shift_mm", "pose_angle_deg")]
     assert shares == approx(np.array([0.4, turned]) ** 2 / (0.4**2 + turned**2), abs=0.1)
-
-
-def test_the_command_predicts_before_data(capsys):
-    assert run("predict --scene phantom1 --medium gelatine --aim 52,0.4 --json") == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["target_mm"] == [52.0, 0.4, 0.0] and found["sources"][0]["name"] == "gelatine"
-    assert 0.8 < sum(one["share"] for one in found["parameters"]) < 1.1
-    assert run("predict --scene phantom1") == 2
-    assert run("predict --scene phantom1 --medium nowhere") == 3

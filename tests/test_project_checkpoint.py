@@ -2,7 +2,6 @@
 
 import json
 import os
-import pickle
 import shutil
 import signal
 import subprocess
@@ -115,19 +114,6 @@ def test_a_checkpoint_that_ended_before_its_manifest_is_begun_again(tmp_path):
     lines = []
     open_checkpoint(tmp_path, True, {"n": 1}, lines.append)
     assert lines == [] and json.loads((tmp_path / MANIFEST).read_text())["holds"] == "checkpoint"
-
-
-class Bomb:
-    def __reduce__(self):
-        return (Path.touch, (Path("was_run"),))
-
-
-@pytest.mark.parametrize("data", [pickle.dumps(Bomb()), b"\xff" * 50, b"{}", b"[" * 10_000])
-def test_a_pickle_is_not_run(tmp_path, monkeypatch, data):
-    monkeypatch.chdir(tmp_path)
-    file = kept(tmp_path / "c")
-    file.write_bytes(data)
-    assert resumed(tmp_path / "c")[0] == [] and not (tmp_path / "was_run").exists()
 
 
 def write(folder, text="one"):

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import subprocess
 
 import pandas as pd
 import pytest
@@ -10,7 +9,6 @@ from reporting_results import study
 
 from needlefit.metrics import METRICS, Metric
 from needlefit.studies.kinds.cross_validation.rows import FRAMES
-from needlefit.studies.paper_folder import write_paper_folder
 from needlefit.studies.report import rebuild, write_run
 
 
@@ -44,19 +42,3 @@ def test_a_run_that_was_stopped_before_its_first_start_can_be_written(tmp_path):
     files = write_run(study(1).with_frames(**nothing), tmp_path / "stopped")
     assert "report.pdf" in {path.name for path in files.iterdir()}
     assert "validation.csv" not in {path.name for path in files.iterdir()}
-
-
-@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="LaTeX is not installed")
-@pytest.mark.sweep
-def test_the_latex_files_compile(tmp_path):
-    """Those of a run's folder, and of a paper's folder made from it."""
-    run, paper = write_run(study(1), tmp_path / "study1"), tmp_path / "paper"
-    write_paper_folder(study(1), run, paper)
-    head = r"\documentclass[journal]{IEEEtran}\usepackage[T1]{fontenc}\usepackage{textcomp,booktabs,siunitx}"
-    words = ("pdflatex", "-interaction=nonstopmode", "-halt-on-error", "all.tex")
-    for folder in (run, paper):
-        names = sorted(path.stem for path in folder.glob("*.tex"))
-        body = "\n".join(rf"\input{{{name}}}" for name in names)
-        text = f"{head}\n\\begin{{document}}\n{body}\n\\end{{document}}\n"
-        (folder / "all.tex").write_text(text)
-        subprocess.run(words, cwd=folder, check=True, stdout=subprocess.DEVNULL)

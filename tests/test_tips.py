@@ -20,17 +20,9 @@ from pytest import approx
 from needlefit.datasets.folds import is_copy
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import check, read
-from needlefit.geometry.curves import compare_curves
-from needlefit.inference.compared_points import align_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import whiten_residuals
-from needlefit.inference.likelihood.observations import (
-    SimulatedCurve,
-    make_observation,
-    read_points,
-    select_points,
-)
-from needlefit.metrics import compute_metrics
+from needlefit.inference.likelihood.observations import make_observation, read_points
 from needlefit.studies.simulated_data import simulate_measurement
 
 ONE_LAYER = medium(1)
@@ -113,15 +105,6 @@ def test_all_that_an_insertion_holds_is_simulated_with_its_errors(compared):
             misfits = asked.compute_misfits(THETA)
             squares.append(misfits @ misfits / len(misfits))
         assert np.mean(squares) == approx(1.0, abs=4 * np.sqrt(2 / len(misfits) / 100))
-
-
-def test_a_tip_has_an_error_across_and_no_error_along_the_needle():
-    one = tip(60.0, error=0.3)
-    curve = SimulatedCurve(predict(TRUTH, ONE_LAYER, one), one)
-    found = compute_metrics(compare_curves(*align_points(select_points("known", 0.0, one), curve)))
-    assert found["te_mm"] == approx(0.3, abs=1e-6)
-    assert found["edp_percent"] == approx(100 * 0.3 / abs(one.points[-1, 1]), rel=1e-4)
-    assert np.isnan(found["ipe_mean_mm"]) and np.isnan(found["median_err_mm"])
 
 
 TOML = (

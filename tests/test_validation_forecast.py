@@ -84,13 +84,6 @@ def test_one_draw_is_the_scene_with_its_parameters(job):
     assert table["needle_95_low_mm"].iloc[-1] == approx(expected[-1, 1], abs=1e-6)
 
 
-def test_ends_of_each_interval_err_as_quantiles_of_normal_draws(job):
-    across = default_rng(1).standard_normal((4000, 101, 1))
-    medians = tabulate_forecast(replace(planned(sure(job), [theta(job)] * 3), across=across)).median()
-    assert medians["needle_50_high_error_mm"] == approx(0.0215, rel=0.1)
-    assert medians["needle_95_low_error_mm"] == approx(0.0422, rel=0.1)
-
-
 def test_a_turned_needle_is_predicted_in_space_and_its_roll_errs_as_the_dataset_states(job):
     (step,) = SCENE.steps
     turned = replace(step, bevel=replace(step.bevel, offset=0.08, roll_deg=90.0))

@@ -1,6 +1,5 @@
 """A study on needles whose truth is known: recovered, scored, stopped, resumed to the same frames."""
 
-import dataclasses
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -59,13 +58,7 @@ def clean(tmp_path_factory):
     """The study as it is, run once."""
     with pytest.MonkeyPatch.context() as here:
         here.chdir(made(tmp_path_factory.mktemp("clean")))
-        return run(
-            "clean", study(), Settings(progress=lambda *event: EVENTS.append(event), first=FIRST.append)
-        )
-
-
-EVENTS = []  #: what the run above reports
-FIRST = []
+        return run("clean", study(), Settings())
 
 
 def study(**changes):
@@ -158,7 +151,7 @@ ONE_EVALUATION = "schema = 1\nstarts = 3\nevaluations = 1\n[likelihood]\nbevel_s
 def oblique(planned):
     """The insertion with the plane x + 2 y = 18 as its layer boundary, whatever was measured."""
     surface = make_sheet("oblique", [18.0, 0, 0], [1.0, 2.0, 0], 300.0, 2)
-    return dataclasses.replace(planned, surfaces=(surface,))
+    return replace(planned, surfaces=(surface,))
 
 
 def shape_with(planned, boundary):

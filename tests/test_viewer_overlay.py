@@ -6,22 +6,15 @@ import shutil
 import numpy as np
 import pytest
 from inference_cases import TRUTH, dataset, insertion, measure, medium
-from numpy.testing import assert_allclose
 from page_files import run_node
 from pytest import approx
 
-from needlefit.geometry.curves import arc_length, compare_curves
-from needlefit.geometry.frames import align_rigid
-from needlefit.inference.compared_points import align_points
-from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observations import select_points
-from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.mechanics.shape import NeedleShape
 from needlefit.viewer.overlays import make_measured_overlay
 from needlefit.viewer.page_needle import encode_measured
 
 PLAN = insertion(40.0, [17.5], (1, 2))
 MEASURED = measure(TRUTH, medium(), PLAN)
-OFF = {**TRUTH, "mu1_pa": 2e5, "bevel_mm": 0.1}
 
 
 def straight(depth, status="converged"):
@@ -73,20 +66,3 @@ def test_errors_up_to_the_depth_in_common():
         assert found["ipe_mean_mm"] == approx(chord / 2)
         assert found["edp_percent"] == approx(100 * chord / (upto * math.sin(angle)))
         assert (found["upto_mm"], found["whole"]) == (upto, depth == 40.0)
-
-
-@needs_node
-def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_whole():
-    turned = MEASURED.points[:, :2] @ [[0.0, 1.0], [-1.0, 0.0]] + [30.0, -4.0]
-    free = MEASURED.with_points(turned)
-    shape = predict(OFF, medium(), free)
-    one = of(free, "free", shape=shape, drop=5.0)
-    flat = straight(40.0)
-    goal = select_points("free", 5.0, free)
-    expected = compare_curves(*align_points(goal, lambda s: compute_positions(flat, s)))
-    part, whole = page_errors(one, 30.0, 40.0)
-    assert part is None and whole["te_mm"] == approx(expected.tip_error)
-    onto = compute_positions(shape, one.s)[:, :2]
-    assert np.linalg.norm(one.points[:, :2] - onto, axis=1).max() < 0.3  # from 30 mm away
-    assert_allclose(align_rigid(one.points[:, :2], onto), one.points[:, :2], atol=1e-9)
-    assert arc_length(one.points)[-1] == approx(35.0, abs=0.05)
