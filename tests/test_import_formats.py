@@ -41,8 +41,8 @@ def beside(axis, curves=CURVES, filler=np.nan, rows=18):
 class Content:
     """The needles of a file as an import reads them, and the fields beside each."""
 
-    def __init__(self, path):
-        curves, draft = curves_of([path])
+    def __init__(self, path, **stated):
+        curves, draft = curves_of([path], **stated)
         self.names, self.curves = [*curves], [*curves.values()]
         self.unused = {what.removesuffix(" ignored") for what, _ in draft.unused}
         self.table = read_structured(path)[0]
@@ -276,6 +276,33 @@ def test_json_lines_have_an_object_for_each_needle(tmp_path):
     content = Content(tmp_path / "a.jsonl")
     assert content.names == ["n0", "n1", "n2", "n3"]
     assert_same(content)
+
+
+def test_places_may_be_fields_of_fields_in_json(tmp_path):
+    turn = {"x": 0.1, "y": 0.2, "z": 0.3, "w": 0.9}
+    for n, curve in enumerate(CURVES):
+        poses = [
+            {
+                "stamp": {"secs": k},
+                "pose": {"position": dict(zip("xyz", point, strict=True)), "orientation": turn},
+            }
+            for k, point in enumerate(curve.tolist())
+        ]
+        (tmp_path / f"run{n}.jsonl").write_text("\n".join(map(json.dumps, poses)))
+        content = Content(tmp_path / f"run{n}.jsonl", holds="shapes")
+        assert content.names == [f"run{n}"]
+        np.testing.assert_allclose(content.curves[0].line, curve)
+        assert "stamp.secs" in content.table.headers
+    needles = {
+        f"n{n}": {**dict(zip("xyz", one.T.tolist(), strict=True)), "side": 1} for n, one in enumerate(CURVES)
+    }
+    (tmp_path / "all.json").write_text(json.dumps(needles))
+    content = Content(tmp_path / "all.json")
+    assert content.names == ["n0", "n1", "n2", "n3"]
+    assert_same(content)
+    points = [{"entry": {"x": n, "y": 0, "z": 0}, "points": one.tolist()} for n, one in enumerate(CURVES)]
+    (tmp_path / "points.json").write_text(json.dumps(points))
+    assert len(read_structured(tmp_path / "points.json")[0].rows) == sum(map(len, CURVES))
 
 
 @pytest.mark.parametrize(

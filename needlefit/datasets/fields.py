@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.datasets.points import Points
+from needlefit.grouping import group_values
 
 MAX_TEXT_CHARS = 200  # longest text that is stated of a curve (characters)
 MAX_STATED_NUMBERS = 20  # largest number of numbers in a vector that is stated of a curve
@@ -191,7 +192,7 @@ def _find_unit(key: str) -> str:
 def simplify(value: object) -> Any:  # noqa: ANN401 - whatever a file holds
     """Return a value without object arrays: lists, arrays of numbers, texts, structs as dicts.
 
-    An array of structs with one point each is the struct of their columns.
+    An array of structs with one point each is the struct of their columns, those of fields in fields too.
     """
     if isinstance(value, np.ndarray) and value.dtype.kind in "OUS":
         value = value.item() if value.ndim == 0 else value.ravel().tolist()
@@ -201,11 +202,33 @@ def simplify(value: object) -> Any:  # noqa: ANN401 - whatever a file holds
         return value
     if all(_is_number(part) for part in value):
         return np.array(value, dtype=np.float64)
-    if all(isinstance(part, dict) and part.keys() == value[0].keys() for part in value):
-        axes = [key for key in value[0] if _COORDINATE.fullmatch(key)]
-        if len(axes) > 1 and all(_is_number(part[key]) for part in value for key in axes):
-            return {key: simplify([part[key] for part in value]) for key in value[0]}
+    if all(isinstance(part, dict) for part in value) and (columns := _find_columns(value)):
+        return columns
     return [simplify(part) for part in value]
+
+
+def _find_columns(structs: Sequence[Mapping[str, object]]) -> dict[str, object]:
+    """Return the columns of structs with one point each; nothing where none, or several, are in each.
+
+    The point may be in a field of a field, whose name is left out: `x` of `pose.position.x`. x, y and z
+    beside w are a quaternion.
+    """
+    rows = [{key[1:]: part for key, part in _flatten("", struct).items()} for struct in structs]
+    fields = group_values((key.rpartition(".")[0], key) for key in rows[0])
+    axes = {
+        name: [key for key in keys if _COORDINATE.fullmatch(key.rpartition(".")[2])]
+        for name, keys in fields.items()
+        if f"{name}.w".lstrip(".") not in keys
+    }
+    places = [name for name, keys in axes.items() if len(keys) > 1]
+    has_curves = any(to_curves(part, count) for part in rows[0].values() for count in (2, 3))
+    if "" not in places and (len(places) != 1 or has_curves):
+        return {}
+    place = "" if "" in places else places[0]
+    if not all(_is_number(row.get(key)) for row in rows for key in axes[place]):
+        return {}
+    names = {key: key.removeprefix(f"{place}.") if key in axes[place] else key for key in rows[0]}
+    return {name: simplify([row.get(key, "") for row in rows]) for key, name in names.items()}
 
 
 def _flatten(key: str, part: object) -> dict[str, object]:

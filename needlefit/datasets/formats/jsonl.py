@@ -1,4 +1,4 @@
-"""Read JSON lines: an object a line, with the points of a curve as N x 3 numbers, or as fields x, y, z."""
+"""Read JSON, and lines of it: objects with the points of a curve as N x 3 numbers, or as fields x, y, z."""
 
 import math
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy as np
 from needlefit.datasets.fields import FieldReader
 from needlefit.datasets.formats import FileFormat, ReadCurves
 from needlefit.errors import DataError
-from needlefit.project.input_files import parse_json, read_text
+from needlefit.project.input_files import parse_json, read_json, read_text
 
 MAX_NUMBER = 2**63  # largest whole number that is read: beyond it numpy has no integer
 MAX_NESTING = 20  # largest depth of objects and lists within each other
@@ -17,18 +17,26 @@ _FIX = 'write an object a line: {"id": "n1", "points": [[0, 0, 0], [5, 0.1, 0], 
 
 
 def read_curves(path: Path) -> ReadCurves:
-    """Return every curve that `FieldReader` finds in the lines, by name, and what is not used.
+    """Return every curve that `FieldReader` finds in a file, or its lines, by name, and what is not used.
 
     DataError if the file is missing, a line is no JSON, or there is no curve.
     """
-    lines = [(f"{path}:{n}", line) for n, line in enumerate(read_text(path).split("\n"), 1) if line.strip()]
-    objects = [_to_arrays(parse_json(line, where), where) for where, line in lines]
-    reader = FieldReader("field")
-    curves = {curve.name: curve.to_points(path) for curve in reader.find_curves("line", objects)}
+    reader, is_whole = FieldReader("field"), path.suffix.lower() == ".json"
+    if is_whole:
+        objects, name = _to_arrays(read_json(path), str(path)), ""
+        if isinstance(objects, dict) and "markups" in objects:
+            fix = f"rename it to {path.stem}.mrk.json"
+            raise DataError("holds markups of 3D Slicer", expected="their ending", fix=fix, where=path)
+    else:
+        lines = [
+            (f"{path}:{n}", line) for n, line in enumerate(read_text(path).split("\n"), 1) if line.strip()
+        ]
+        objects, name = [_to_arrays(parse_json(line, where), where) for where, line in lines], path.stem
+    curves = {curve.name: curve.to_points(path) for curve in reader.find_curves(name, objects)}
     if not curves:
         raise DataError(
             "holds no curve",
-            expected="points of a needle in each line, as N x 3 numbers, N > 3",
+            expected="points of a needle in each object, or line, as N x 3 numbers, N > 3",
             fix=_FIX,
             where=path,
         )
@@ -57,4 +65,4 @@ def _to_arrays(value: Any, where: str, depth: int = 0) -> object:  # noqa: ANN40
     return array if array.dtype.kind in "iuf" else [_to_arrays(part, where, depth + 1) for part in value]
 
 
-JSONL = FileFormat("jsonl", (".jsonl", ".ndjson"), read_curves)
+JSONL = FileFormat("jsonl", (".jsonl", ".ndjson", ".json"), read_curves)

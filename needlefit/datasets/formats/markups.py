@@ -92,7 +92,7 @@ def read_markups(path: Path, with_planes: bool = False) -> tuple[Markups, ...]:
         raise DataError(
             "has no `markups`",
             expected='{"@schema": ..., "markups": [{"type": "Curve", ...}]}',
-            fix=f"{SAVE_AGAIN_FIX}; points of other programs: a .jsonl file",
+            fix=SAVE_AGAIN_FIX,
             where=path,
         )
     schema = str(whole.get("@schema", SCHEMA))
@@ -216,7 +216,7 @@ def read_plane(path: Path) -> Points:
 
 def is_plane(path: Path) -> bool:
     """Whether a file holds one plane of Slicer, and nothing else."""
-    is_markups = path.name.lower().endswith(".json")
+    is_markups = path.name.lower().endswith(".mrk.json")
     return is_markups and [markups.kind for markups in read_markups(path, with_planes=True)] == ["Plane"]
 
 
@@ -273,7 +273,7 @@ def _read_centerline(path: Path, _columns: Mapping[str, str], _found: list[Fault
 
 MARKUPS = FileFormat(
     "markups",
-    (".json", ".fcsv"),
+    (".mrk.json", ".fcsv"),
     _read_curves,
     _read_centerline,
     lambda path: Points(path, pick_list(read_markups(path), path).points),
