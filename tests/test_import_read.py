@@ -354,3 +354,18 @@ def test_bad_input_ends_in_exit_code_3_and_writes_nothing(tmp_path, text, capsys
     (tmp_path / "dataset.toml").touch()
     for path in (tmp_path, tmp_path / "dataset.toml"):
         assert str(tmp_path / "dataset.toml") in refusal(DataError, "", prepare, [path]).fix
+
+
+def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path):
+    files = [tmp_path / specimen / "45mm" / "needle.csv" for specimen in ("block 1", "block 2", "block 3")]
+    for n, file in enumerate(files):
+        file.parent.mkdir(parents=True)
+        write_rows(file, [["x", "y", "z"], *NEEDLES[n].tolist()])
+    names = [f"block_{n}_45mm_needle" for n in (1, 2, 3)]
+    assert_read([*files, files[0].parent], names=names)
+    content = prepare(files).content
+    assert [*content.files] == [f"block {n}/45mm/needle.csv" for n in (1, 2, 3)]
+    assert str(tmp_path / "block 1") in refusal(DataError, "", prepare, [tmp_path]).fix
+    (tmp_path / "vtk").mkdir()
+    (tmp_path / "vtk" / "needle.vtk").write_text("# vtk")
+    assert "ParaView" in refusal(DataError, "", prepare, [tmp_path / "vtk"]).fix

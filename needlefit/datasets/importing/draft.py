@@ -36,6 +36,7 @@ class Draft:
         self.ignored = dict[str, str]()  # why nothing is read of a file, or of its sheets
         self.headers = list[str]()  # of all tables
         self.columns_read = set[str]()  # meanings whose stated columns are there
+        self.names = dict[Path, str]()  # what files are called
         self.needles = dict[tuple[str, str], set[str]]()  # names by file and sheet
         for key, text in pairs:
             head, _, part = key.partition(".")
@@ -84,9 +85,10 @@ class Draft:
 
     def add(self, entry: Keys, path: Path) -> None:
         """Add the entry of a table; files that are read alike have one."""
+        entry = entry | {"files": [name := self.names[path]]}
         same = next((table for table in self.tables if {**table, "files": 0} == {**entry, "files": 0}), None)
-        if same is not None and path.name not in same["files"]:
-            same["files"] = [*same["files"], path.name]
+        if same is not None and name not in same["files"]:
+            same["files"] = [*same["files"], name]
         else:
             self.tables.append(entry)
 

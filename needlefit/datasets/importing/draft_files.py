@@ -32,6 +32,7 @@ from needlefit.datasets.importing.tables import (
     Table,
     is_like_number,
     lay_out,
+    name_files,
     read_sheets,
     read_structured,
 )
@@ -53,7 +54,8 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
     DataError of a file that cannot be read, or holds a dataset already.
     """
     draft = Draft(pairs)
-    files = [*_list_files(paths, draft)]
+    files = list_different(_list_files(paths, draft))
+    draft.names = name_files(files)
     if len(files) > MAX_CURVES:
         raise DataError(
             f"{len(files)} files are named",
@@ -63,7 +65,7 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
     for path in files:
         suffix = path.suffix.lower()
         if suffix in READ_SUFFIXES or path.name in draft.planes or is_plane(path):
-            draft.surfaces.append(path.name)
+            draft.surfaces.append(draft.names[path])
         elif suffix in TEXT_SUFFIXES:
             _draft_grid(*sniff_text(path, draft.table_keys), draft)
         elif suffix in SHEET_SUFFIXES:
@@ -102,8 +104,8 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
             draft.ask("column", str(paths[0]), answers, key=key, text=text)
     read = {name for table in draft.tables for name in table["files"]}
     for path in paths if not draft.opens else ():
-        if path.name in draft.ignored.keys() - read:
-            draft.ask("ignored", path.name, name=path.name, why=draft.ignored[path.name])
+        if (name := draft.names.get(path, "")) in draft.ignored.keys() - read:
+            draft.ask("ignored", name, name=name, why=draft.ignored[name])
     return draft, files
 
 
@@ -124,6 +126,11 @@ def _ask_markups(path: Path, table: Table, draft: Draft, files: Sequence[Path]) 
             draft.ask("named_points", path.name, answers, name=markups.name)
 
 
+def list_different(paths: Iterable[Path]) -> list[Path]:
+    """Return paths without those of a file that is named already."""
+    return [*{path.absolute(): path for path in paths}.values()]
+
+
 def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
     """Yield the files that are named, or stand in a folder that is."""
     ends = tuple(end for entry in FORMATS.values() for end in entry.suffixes)
@@ -141,13 +148,20 @@ def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
                 raise DataError("there is no such file", fix="check the name and the path", where=path)
             yield path
             continue
-        for entry in sorted(path.iterdir()):
-            if entry.is_dir():
-                draft.unused.append((f"folder {entry.name}", "it is not searched: name it"))
-            elif not entry.name.lower().endswith(suffixes) or entry.name.startswith((".", "~$")):
-                draft.unused.append((f"file {entry.name}", "its name"))
-            else:
-                yield entry
+        entries = sorted(path.iterdir())
+        folders = [str(entry) for entry in entries if entry.is_dir()]
+        named = [entry for entry in entries if entry.is_file() and not entry.name.startswith((".", "~$"))]
+        readable = [entry for entry in named if entry.name.lower().endswith(suffixes)]
+        draft.unused += [(f"folder {Path(name).name}", "it is not searched: name it") for name in folders]
+        draft.unused += [(f"file {entry.name}", "its name") for entry in named if entry not in readable]
+        if folders and not named:
+            raise DataError(
+                "holds folders alone, which are not searched",
+                expected="files of needles",
+                fix=f"name the folders of the files: needlefit import {join_names(folders, 3)}",
+                where=path,
+            )
+        yield from readable or named[:1]  # which states why it is not read
 
 
 def _ask_sources(draft: Draft) -> None:

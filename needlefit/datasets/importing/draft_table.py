@@ -95,7 +95,7 @@ class TableDraft:
             problem = f"no column is known to hold coordinates: {headers or 'no headers'}"
             self.draft.unused.append((f"table {self.where}", problem))
             if not OF_LAYERS & {column.meaning for column in self.all}:
-                self.draft.ignored[self.table.path.name] = problem
+                self.draft.ignored[self.draft.names[self.table.path]] = problem
             elif "boundaries" not in self.draft.values:
                 self.ask("table", name=self.name, headers=headers)
             return
@@ -421,7 +421,7 @@ class TableDraft:
                 words = dict.fromkeys(statistics, EXCLUDED)
                 records[EXCLUDED] = {"column": records["needle"]["column"], "words": words}
                 self.draft.assumed[EXCLUDED] = f"{', '.join(statistics)}: no needles"
-            place = (self.table.path.name, self.keys.get("sheet", ""))
+            place = (self.draft.names[self.table.path], self.keys.get("sheet", ""))
             self.draft.needles.setdefault(place, set()).update(names)
         self.draft.add({**self.keys, "columns": records}, self.table.path)
 

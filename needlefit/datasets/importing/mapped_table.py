@@ -3,7 +3,7 @@
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +29,8 @@ from needlefit.datasets.importing.tables import (
     TEXT_SUFFIXES,
     Table,
     lay_out,
+    name_files,
+    name_stem,
     read_grids,
     read_structured,
 )
@@ -113,7 +115,7 @@ class MappedTable:
     @cached_property
     def cells(self) -> Mapping[str, list[list[str]]]:
         """The texts of each meaning in each row, one of each column; empty where it was not measured."""
-        names = {"file": self.table.path.name.partition(".")[0], "sheet": self.table.sheet}
+        names = {"file": name_stem(self.table.path, self.table.file), "sheet": self.table.sheet}
         cells = defaultdict[str, list[list[str]]](lambda: [[] for _ in self.table.rows])
         for meaning, record in self.record.columns.items():
             columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
@@ -217,16 +219,14 @@ def _is_missing(text: str) -> bool:
 
 def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Iterator[MappedTable]:
     """Yield each table that the mapping reads; DataError if one of its files or sheets is not there."""
-    names = [path.name for path in paths]
+    names = name_files(paths)
     for number, record in enumerate(mapping.tables, 1):
-        matching = [
-            path for path in paths if any(fnmatchcase(path.name, pattern) for pattern in record.files)
-        ]
+        matching = [path for path in paths if any(map(path.absolute().match, record.files))]
         if not matching:
-            near = sort_by_similarity(record.files[0], names)
+            near = sort_by_similarity(record.files[0], [*names.values()])
             raise DataError(
                 f"tables.{number} reads {join_names(record.files, 3)}, and no file has this name",
-                expected=join_names(names, MAX_LISTED_NAMES),
+                expected=join_names([*names.values()], MAX_LISTED_NAMES),
                 fix=name_set(f"tables.{number}.files", f'["{near[0] if near else "*"}"]'),
                 where=where,
             )
@@ -234,7 +234,7 @@ def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> It
         for path in matching:
             for table in _read_tables(path, record):
                 count += 1
-                yield MappedTable(table, record, number)
+                yield MappedTable(replace(table, file=names[path]), record, number)
         if not count:
             raise DataError(
                 f"has no sheet {record.sheet!r}",

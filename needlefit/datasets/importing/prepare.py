@@ -9,7 +9,7 @@ import numpy as np
 
 from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.draft import Draft
-from needlefit.datasets.importing.draft_files import draft_mapping
+from needlefit.datasets.importing.draft_files import draft_mapping, list_different
 from needlefit.datasets.importing.examples import find_examples
 from needlefit.datasets.importing.kinds import KINDS
 from needlefit.datasets.importing.mapped_table import MappedTable, list_tables
@@ -41,6 +41,7 @@ MAX_LENGTH_RATIO = 8.0  # of the longest needle and the shortest: of cm among mm
 DRAFT = "the draft of the mapping"  #: its place in messages
 DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")  # assumptions that are listed first
 MAX_SHOWN_CELLS = 4  # number of cells of a row on the screen
+CURVATURES = {"curvature_y", "curvature_z"}  # meanings whose greatest value is of both
 MAX_FIRST_VALUES = 3  # number of values of a column on the screen
 
 
@@ -106,7 +107,7 @@ def _prepare(paths: Sequence[Path], assignments: Pairs, mapping: Path | None) ->
         record, unused, where = draft.to_record(DRAFT), draft.unused, DRAFT
     else:
         record, unused, where = _load(mapping, assignments), [], str(mapping)
-        files = [*_list_named(paths)]
+        files = list_different(_list_named(paths))
     try:
         content = read_mapped(record, files, where)
     except DataError as error:
@@ -199,16 +200,19 @@ def _settle_units(draft: Draft, files: Sequence[Path]) -> None:
     for mapped in tables:
         for meaning, column in mapped.record.columns.items():
             usual = MEANINGS[meaning].unit
-            if f"{meaning}.unit" not in draft.assumed or not MEANINGS[meaning].likely:
+            is_curvature = usual == "1/mm"  # its unit is asked beside a header, too: 1/mm is written as 1/m
+            is_open = is_curvature and "unit" not in draft.columns.get(meaning, {})
+            if not (f"{meaning}.unit" in draft.assumed or is_open) or not MEANINGS[meaning].likely:
                 continue
-            texts = {cell for cells in mapped.cells[meaning] for cell in cells}
+            alike = [*CURVATURES & mapped.record.columns.keys()] if is_curvature else [meaning]
+            texts = {cell for key in alike for cells in mapped.cells[key] for cell in cells}
             numbers = sorted(abs(number) for text in texts for number in list_bare_numbers(text) if number)
             units, unit = (
-                _list_likely(meaning, numbers[-1:] if usual == "1/mm" else numbers),
+                _list_likely(meaning, numbers[-1:] if is_curvature else numbers),
                 column.unit or usual,
             )
             if numbers and unit not in units:
-                answers = {name: {f"{meaning}.unit": name} for name in units}
+                answers = {name: {f"{key}.unit": name for key in sorted(alike)} for name in units}
                 shown = f"{numbers[-1]:g} {unit}"
                 draft.ask("length", mapped.table.path.name, answers, key=meaning, shown=shown)
 
@@ -256,7 +260,7 @@ def _describe_columns(record: MappingRecord, files: Sequence[Path]) -> Iterator[
             key = "unit" if is_point else f"{meaning}.unit"
             unit += ", assumed" if unit and key in record.assumed else ""
             yield {
-                "table": f"{mapped.table.path.name} {sheet}".strip(),
+                "table": f"{mapped.table.file} {sheet}".strip(),
                 "meaning": meaning,
                 "column": ", ".join(map(str, column.columns)) or column.source or f"= {column.value}",
                 "unit": f"column {column.unit_column}" if column.unit_column else unit,

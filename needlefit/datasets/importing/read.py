@@ -18,6 +18,7 @@ from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.kinds import list_kinds
 from needlefit.datasets.importing.mapped_table import MAX_LISTED_NAMES, MappedTable, list_tables
 from needlefit.datasets.importing.stated import name_set
+from needlefit.datasets.importing.tables import name_files
 from needlefit.datasets.layers import find_hole, find_length_tolerance, find_surface_faults
 from needlefit.datasets.points import Points
 from needlefit.errors import DataError
@@ -70,7 +71,9 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
             fix="correct the mapping: what its tables hold, and the column of needle",
             where=where,
         )
-    return ImportContent(curves, surfaces, {path.name: sha256(path) for path in paths}, left_out)
+    return ImportContent(
+        curves, surfaces, {name: sha256(path) for path, name in name_files(paths).items()}, left_out
+    )
 
 
 def read_curves(tables: Sequence[MappedTable], left_out: list[str]) -> list[ImportedCurve]:
@@ -85,7 +88,7 @@ def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surfac
     """Return the surfaces in their order; DataError of one that cannot part layers."""
     surfaces = list[Surface]()
     for name in mapping.surfaces:
-        path = next((path for path in paths if path.name == name), Path())
+        path = next((path for path in paths if path.absolute().match(name)), Path())
         if (form := find_format(path)) is not None and form.name == "markups":
             surfaces.append(_fit_plane(path))
             continue

@@ -4,6 +4,7 @@ import codecs
 import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, time, timedelta
@@ -59,6 +60,7 @@ class Table:
     path: Path
     rows: Sequence[Sequence[str]]  # blank rows are among them; rows may differ in length
     sheet: str = ""  # empty for a text file
+    file: str = ""  # what its file is called among others of the same name
     is_only_sheet: bool = False  # all other sheets of its workbook are empty
     lines: Sequence[int] = ()  # of the file, on which a row begins; empty: row n is line n
     is_transposed: bool = False  # its rows are columns of the file
@@ -75,7 +77,8 @@ class Table:
     @property
     def name(self) -> str:
         """What a needle without a name is called: the sheet if it is one of several, else the file."""
-        return self.path.name.partition(".")[0] if self.is_only_sheet or not self.sheet else self.sheet
+        is_of_file = self.is_only_sheet or not self.sheet
+        return name_stem(self.path, self.file) if is_of_file else self.sheet
 
     @property
     def where(self) -> str:
@@ -114,6 +117,22 @@ class Table:
     def number(self, text: str) -> float | None:
         """Return the number in a cell; None where there is none."""
         return parse_number(text, self.decimal, self.thousands)
+
+
+def name_files(paths: Sequence[Path]) -> dict[Path, str]:
+    """Return what each of different files is called: its name, after as many folders as others share it."""
+    names, count = {path: path.name for path in paths}, 1
+    while alike := {name for name, number in Counter(names.values()).items() if number > 1}:
+        count += 1
+        names |= {
+            path: "/".join(path.absolute().parts[-count:]) for path, name in names.items() if name in alike
+        }
+    return names
+
+
+def name_stem(path: Path, name: str = "") -> str:
+    """Return the name of a file without its ending; `name`: what it is called, with folders."""
+    return name.removesuffix(path.name) + path.name.partition(".")[0]
 
 
 def parse_number(text: str, decimal: str = ".", thousands: str = "") -> float | None:
@@ -448,7 +467,7 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
             raise DataError("there is no such file", fix="check the name and the path", where=path)
         raise DataError(
             f"has the ending {path.suffix!r}, which is not read",
-            expected="a table, a workbook, .mat, .npz, .jsonl, markups of Slicer, or an RT structure set",
+            expected="a table, a workbook, .mat, .npz, .json, .jsonl, markups of Slicer, or an RT structure",
             fix=EXPORTS.get(path.suffix.lower(), EXPORTS["other"]),
             where=path,
         )
