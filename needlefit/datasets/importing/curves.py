@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,10 +15,8 @@ from needlefit.datasets.points import Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.geometry.surfaces import Surface
+from needlefit.schemas.mapping import Holds
 from needlefit.schemas.scene import NeedleRecord
-
-if TYPE_CHECKING:
-    from needlefit.datasets.importing.kinds import RowKind
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,7 @@ class ImportedCurve:
 
     name: str
     points: Points  # of tips and tracks (depth, deflections) or places, a reading a row
-    kind: "RowKind"
+    holds: Holds
     stated: dict[str, Stated] = field(default_factory=dict)  # of `ATTRIBUTES`
     depths: Floats = field(default_factory=lambda: np.empty(0))  # (N,), mm; of readings, empty: not stated
     depth_column: str = ""  # the header of the depths of readings

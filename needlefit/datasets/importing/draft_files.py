@@ -11,7 +11,7 @@ from pathlib import Path
 from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.formats.markups import MARKUPS, is_plane, read_markups
 from needlefit.datasets.importing.draft import Draft
-from needlefit.datasets.importing.draft_table import TableDraft
+from needlefit.datasets.importing.draft_entries import draft_entries
 from needlefit.datasets.importing.examples import EXAMPLE_SHEET
 from needlefit.datasets.importing.kinds import KINDS
 from needlefit.datasets.importing.layout import propose_layout, sniff_text
@@ -73,7 +73,7 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
         else:
             table, remarks = read_structured(path)
             draft.unused += [(remark, path.name) for remark in remarks]
-            TableDraft(table, {"files": [path.name]}, draft).propose()
+            draft_entries(table, {"files": [path.name]}, draft)
             _ask_markups(path, table, draft, files)
     for meaning, parts in draft.columns.items():
         if "column" in parts and draft.headers and meaning not in draft.columns_read:
@@ -263,4 +263,4 @@ def _draft_grid(grid: Table, keys: Keys, draft: Draft) -> None:
     keys = propose_layout(grid, keys | draft.table_keys)
     table = lay_out(grid, check({"holds": "facts"} | keys, TableRecord, grid.path))
     draft.unused += [(f"line `{line}`"[:200], grid.path.name) for line in table.unread]
-    TableDraft(table, keys, draft).propose()
+    draft_entries(table, keys, draft)

@@ -8,22 +8,16 @@ from functools import cached_property
 from itertools import count, pairwise, permutations
 
 from needlefit.datasets.importing.draft import Draft
-from needlefit.datasets.importing.kinds import list_kinds
 from needlefit.datasets.importing.meanings import (
-    ATTRIBUTES,
-    COORDINATES,
     MEANINGS,
     VECTORS,
     Answers,
     Header,
     Keys,
     find_meaning,
-    is_side,
-    list_bare_numbers,
     name_axes,
     read_header,
     split_unit,
-    translate_side,
 )
 from needlefit.datasets.importing.tables import BLOCK, Table
 from needlefit.datasets.observations.tip_track import MIN_READINGS
@@ -74,11 +68,8 @@ class TableDraft:
         self.excluded = list[str]()  # values of a column of flags that mark rows to be left out
         self.used = set[int]()  # places of columns that mean something, or are asked about
 
-    def propose(self) -> None:
-        """Propose columns, the kind of rows, and the entries."""
-        if self.name in self.keys.get("unused", ()):
-            self.draft.unused.append((f"table {self.where}", "as stated"))
-            return
+    def take_columns(self) -> None:
+        """Take the columns whose meaning is stated or known; ask about those that may mean two things."""
         self._take_stated()
         self.groups = self._group_axes()
         self._take_known()
@@ -86,23 +77,6 @@ class TableDraft:
             self._take("needle", [self.all[block]])
         if "fill_down" not in self.keys and (self.groups or self.taken.keys() & {"y", "deflection"}):
             self._fill_down()
-        stated = self.keys.get("holds", "")
-        for kind in sorted(list_kinds(), key=lambda kind: kind.name != stated):
-            if entries := kind.propose(self, kind.name == stated):
-                break
-        else:
-            headers = ", ".join(filter(None, self.table.headers))[:200]
-            problem = f"no column is known to hold coordinates: {headers or 'no headers'}"
-            self.draft.unused.append((f"table {self.where}", problem))
-            if not OF_LAYERS & {column.meaning for column in self.all}:
-                self.draft.ignored[self.draft.names[self.table.path]] = problem
-            elif "boundaries" not in self.draft.values:
-                self.ask("table", name=self.name, headers=headers)
-            return
-        self.kind, self.keys["holds"] = kind, kind.name
-        self._name_unused()
-        for name, columns in entries.items():
-            self._add(name, self.taken | columns | self.taken)  # the needle is shown first
 
     # ---- columns
 
@@ -162,12 +136,12 @@ class TableDraft:
             del known[key]
         if "guide" in known and self.draft.values.get("guide") != "none":
             self.draft.assumed["guide"] = (
-                f"{_list_names(known['guide'])}: by its header; guide=none if it is no guide"
+                f"{join_columns(known['guide'])}: by its header; guide=none if it is no guide"
             )
         if "needle" in known:
             known["needle"] = self._choose_names(known)
         for column in free:
-            self._ask_meaning(column, meanings[column.place], known)
+            self.ask_meaning(column, meanings[column.place], known)
         trials = next((column for column in self.all if column.meaning == "trials"), None)
         if trials and "point_sd" in known and any("mean" in text.casefold() for text in self.table.headers):
             (column,) = known.pop("point_sd")[:1]
@@ -198,7 +172,7 @@ class TableDraft:
                       for more in ((), (column,))]  # fmt: skip
             chosen += [column] if counts[0] < counts[1] <= len(rows) / 2 else []
         if len(chosen) > 1:
-            self.draft.assumed["needle"] = f"{_list_names(chosen)}: together they name the needles"
+            self.draft.assumed["needle"] = f"{join_columns(chosen)}: together they name the needles"
         return chosen
 
     def _group_axes(self) -> dict[str, Columns]:
@@ -246,7 +220,7 @@ class TableDraft:
             parts["name"] = column.name
         self.draft.ask(question, self.where, answers, **parts)
 
-    def _ask_meaning(self, column: Column, meanings: Sequence[str], known: dict[str, list[Column]]) -> None:
+    def ask_meaning(self, column: Column, meanings: Sequence[str], known: dict[str, list[Column]]) -> None:
         """Ask which of several meanings a column has, if the first is not stated."""
         stated = known.keys() | self.taken.keys() | self.draft.values.keys()
         if len(meanings) < 2 or meanings[0] in stated:
@@ -272,7 +246,7 @@ class TableDraft:
             return
         if 1 < len(values) <= MAX_FLAGS:
             key, name = f"{EXCLUDED}.words", {f"{EXCLUDED}.column": str(column.name)}
-            answers = {value or "blank": name | {key: _to_toml({value: EXCLUDED})} for value in values}
+            answers = {value or "blank": name | {key: to_inline_table({value: EXCLUDED})} for value in values}
             self.ask(EXCLUDED, answers | {"none": _leave(column.name)}, column)
 
     # ---- rows
@@ -369,30 +343,6 @@ class TableDraft:
         self.table = self.table.fill_down([column.name])
         self.taken["needle"] = [replace(column, texts=[row[column.place] for row in self.table.rows])]
 
-    def _name_unused(self) -> None:
-        """Name columns that nothing uses; numbers under an unknown header are assumed to mean nothing.
-
-        Of a column of two directions under an unknown header a person is asked.
-        """
-        for column in self.list_free():
-            texts = {*column.texts}
-            if (
-                len(texts) == 2
-                and not column.is_known
-                and all(translate_side(text, "") != text for text in texts)
-            ):
-                self._ask_meaning(column, ["bevel_side", ""], {})
-        self.draft.unused += [
-            (f"column {column.name}", self.where)
-            for column in self.all
-            if column.place not in self.used and column.texts and column.meaning != "unit"
-        ]
-        names = [column.name for column in self.list_unknown()]
-        for unknown in names:
-            self.draft.assumed[f"unused.{unknown}"] = "not used: numbers under a header that is not known"
-        if unused := [*self.keys.get("unused", []), *names]:
-            self.keys["unused"] = unused
-
     def list_unknown(self) -> list[Column]:
         """Return the columns of numbers that nothing uses, under headers that are not known."""
         return [
@@ -402,80 +352,9 @@ class TableDraft:
             if column.text or [*column.numbers] != [*range(1, len(column.texts) + 1)]
         ]
 
-    def _add(self, name: str, columns: Columns) -> None:
-        """Add an entry of a needle, or of all, with units, words, labels of points, and what is left out."""
-        has_points, names = self.kind.has_points, self.names
-        records = {meaning: self._spell(meaning, places) for meaning, places in columns.items()}
-        if name:
-            records.setdefault("needle", {"value": name})
-        for meaning, parts in self.draft.columns.items():
-            beside = {key: part for key, part in parts.items() if key != "column"}
-            if meaning in records or (beside.keys() & {"source", "value"} and has_points):
-                records[meaning] = records.get(meaning, {}) | beside
-        for meaning, record in records.items():
-            self._complete(meaning, record, columns.get(meaning, ()))
-        self.kind.complete(self, records)
-        if has_points and names and "pattern" not in records.get("needle", {"pattern": ""}):
-            statistics = sorted({name for name in names if find_meaning("statistic", name)})
-            if statistics and EXCLUDED not in records:  # rows in place of a needle
-                words = dict.fromkeys(statistics, EXCLUDED)
-                records[EXCLUDED] = {"column": records["needle"]["column"], "words": words}
-                self.draft.assumed[EXCLUDED] = f"{', '.join(statistics)}: no needles"
-            place = (self.draft.names[self.table.path], self.keys.get("sheet", ""))
-            self.draft.needles.setdefault(place, set()).update(names)
-        self.draft.add({**self.keys, "columns": records}, self.table.path)
 
-    def _complete(self, meaning: str, record: Keys, columns: Sequence[Column]) -> None:
-        """Add a unit that the header does not state, and words for the sides of bevels."""
-        texts = dict.fromkeys(text for column in columns for text in column.texts)
-        unit, is_free = self.draft.unit, meaning in COORDINATES and self.table.system is None
-        is_step = any(map(str.isdigit, unit))  # of a pixel: no unit of lengths in mm
-        if unit and is_free and not (is_step and record.get("unit", "px") != "px"):
-            record["unit"] = unit  # also beside a header that states another one
-        elif (usual := MEANINGS[meaning].unit) in ("mm", "1/mm", "GPa") and not record.keys() & {
-            "unit",
-            "unit_column",
-        }:
-            is_point = meaning in COORDINATES and self.kind.has_points
-            is_fact = usual == "1/mm" or (meaning in ATTRIBUTES and not is_point)
-            is_bare = is_fact and any(map(list_bare_numbers, texts))
-            unit = self.table.unit if usual == "mm" else ""
-            units = [column.name for column in self.all if column.meaning == "unit" and column.texts]
-            if units:
-                record["unit_column"] = units[0]
-            elif unit and (is_free or is_bare):
-                record["unit"] = unit
-            if is_bare and not units:
-                self.draft.assumed[f"{meaning}.unit"] = (
-                    f"{unit or usual}: {_list_names(columns)} states no unit"
-                )
-        unit, words = record.get("unit", ""), record.get("words", {})
-        unclear = [text for text in texts if text not in words and not is_side(text, unit)]
-        if meaning == "bevel_side" and unclear and meaning not in self.draft.values:
-            answers = dict[str, dict[str, str]]()
-            if all(self.table.number(text) is not None for text in unclear):
-                answers["degrees"] = {"bevel_side.unit": "deg"}
-            for sides in permutations(("1", "-1")):
-                sided = dict(zip(unclear, sides, strict=False))
-                answer = " ".join(f"{text}={side}" for text, side in sided.items())
-                answers[answer] = {"bevel_side.words": _to_toml(sided)}
-            names = ", ".join(f"`{text}`" for text in unclear[:MAX_FLAGS])
-            self.ask("bevel_side", answers, names=names, name=record.get("column", ""))
-
-    def _spell(self, meaning: str, columns: Sequence[Column]) -> Keys:
-        """Return how a mapping names columns, and the unit of the first."""
-        names = [column.name for column in columns]
-        spelled = {
-            "column": names[0] if len(names) == 1 else names,
-            "unit": columns[0].unit,
-            "axes": "".join(column.axis for column in columns) if meaning == "guide" else "",
-            "sign": 0 if meaning in self.taken else self.signs.get(meaning, 0),
-            "words": dict.fromkeys(self.excluded, EXCLUDED) if meaning == EXCLUDED else {},
-        }
-        return {key: value for key, value in spelled.items() if value}
-
-
-def _list_names(columns: Iterable[Column]) -> str:
+def join_columns(columns: Iterable[Column]) -> str:
+    """Return the names of columns."""
     return ", ".join(str(column.name) for column in columns)
 
 
@@ -492,6 +371,6 @@ def _read_column(text: str, parts: Sequence[str]) -> Header:
     return replace(best, text=text, unit=unit)
 
 
-def _to_toml(words: Mapping[str, str]) -> str:
+def to_inline_table(words: Mapping[str, str]) -> str:
     """Return an inline table of TOML, as `--set` takes it."""
     return f"{{{', '.join(f'{json.dumps(key)} = {json.dumps(value)}' for key, value in words.items())}}}"

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.importing.kinds import KINDS, RowKind
 from needlefit.datasets.importing.meanings import (
     ATTRIBUTES,
     CODES,
@@ -36,7 +35,7 @@ from needlefit.datasets.importing.tables import (
 )
 from needlefit.errors import DataError
 from needlefit.project.locate import join_names, sort_by_similarity
-from needlefit.schemas.mapping import MappingRecord, TableRecord
+from needlefit.schemas.mapping import POINT_ROWS, MappingRecord, TableRecord
 
 MAX_LISTED_NAMES = 4  # largest number of names in a message
 ACROSS = ("deflection", "deflection_z", "y", "z")  #: meanings whose numbers may be percents of the depth
@@ -51,9 +50,9 @@ class MappedTable:
     number: int  # from 1
 
     @property
-    def kind(self) -> RowKind:
-        """What its rows are."""
-        return KINDS[self.record.holds]
+    def has_points(self) -> bool:
+        """Whether its rows are places, in the unit of coordinates."""
+        return self.record.holds in POINT_ROWS
 
     def name_edit(self, key: str, value: str = "HEADER") -> str:
         """Return the option that states a key of this table, as `columns.x.unit`."""
@@ -119,7 +118,7 @@ class MappedTable:
         cells = defaultdict[str, list[list[str]]](lambda: [[] for _ in self.table.rows])
         for meaning, record in self.record.columns.items():
             columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
-            is_place = meaning in COORDINATES and self.kind.has_points
+            is_place = meaning in COORDINATES and self.has_points
             cells[meaning] = [
                 [
                     ""

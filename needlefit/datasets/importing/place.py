@@ -41,8 +41,8 @@ class ImportPlan(CurveAnswers):
         self.placers = list[Placer]()
         self.usual = dict[str, tuple[str | None, str]]()
         for kind in reversed(list_kinds()):
-            own = [curve for curve in content.curves if curve.kind is kind]
-            others = [curve for curve in content.curves if curve.kind is not kind]
+            own = [curve for curve in content.curves if curve.holds == kind.name]
+            others = [curve for curve in content.curves if curve.holds != kind.name]
             if own and kind.placer is not None:
                 self.placers.append(kind.placer(own, settler, self.surfaces, others))
         self.refuse_moved_guide()
@@ -103,9 +103,7 @@ class ImportPlan(CurveAnswers):
 
     def refuse_moved_guide(self) -> None:
         """DataError if a guide moved beside shapes or tips: only readings on the way have its places."""
-        guided = [
-            curve for curve in self.curves if curve.guide is not None and not curve.kind.in_tracker_frame
-        ]
+        guided = [curve for curve in self.curves if curve.guide is not None and curve.holds != "tracks"]
         if not guided or self.stated("guide") == "none":
             return
         places = np.concatenate([curve.guide for curve in guided if curve.guide is not None])

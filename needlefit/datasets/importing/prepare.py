@@ -11,7 +11,6 @@ from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_files import draft_mapping, list_different
 from needlefit.datasets.importing.examples import find_examples
-from needlefit.datasets.importing.kinds import KINDS
 from needlefit.datasets.importing.mapped_table import MappedTable, list_tables
 from needlefit.datasets.importing.meanings import (
     COORDINATES,
@@ -27,7 +26,7 @@ from needlefit.datasets.importing.stated import Question, Settler, UnansweredErr
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import join_names
 from needlefit.project.toml import check, load, override
-from needlefit.schemas.mapping import MappingRecord
+from needlefit.schemas.mapping import POINT_ROWS, MappingRecord
 
 STATED_MM = (1.0, 2000.0)  # least and greatest length (mm) of the longest needle by a stated unit
 # of a remark: `0,085 mm/px`, `1 px = 0.085 mm`
@@ -177,7 +176,7 @@ def _settle_units(draft: Draft, files: Sequence[Path]) -> None:
         column
         for table in draft.tables
         for meaning, column in table["columns"].items()
-        if meaning in COORDINATES and "unit_column" not in column and KINDS[table["holds"]].has_points
+        if meaning in COORDINATES and "unit_column" not in column and table["holds"] in POINT_ROWS
         if column.get("unit", "px") == "px"
     ]
     if any("unit" in column for column in lacking):
@@ -238,7 +237,7 @@ def _require_lengths(content: ImportContent, record: MappingRecord) -> None:
             ),
             where=content.curves[0].points.where(),
         )
-    shapes = [one for one in content.curves if one.kind.is_line and "depth" not in one.stated]
+    shapes = [one for one in content.curves if one.holds == "shapes" and "depth" not in one.stated]
     short = min(shapes, key=lambda curve: curve.reach, default=None)
     if short is None or "lengths" in record.values or longest < MAX_LENGTH_RATIO * short.reach:
         return
@@ -256,7 +255,7 @@ def _describe_columns(record: MappingRecord, files: Sequence[Path]) -> Iterator[
         sheet = mapped.record.sheet.replace("*", "")
         for meaning, column in mapped.record.columns.items():
             unit = column.unit or MEANINGS[meaning].unit
-            is_point = meaning in COORDINATES and mapped.kind.has_points
+            is_point = meaning in COORDINATES and mapped.has_points
             key = "unit" if is_point else f"{meaning}.unit"
             unit += ", assumed" if unit and key in record.assumed else ""
             yield {

@@ -15,7 +15,7 @@ from needlefit.datasets.faults import as_error
 from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.markups import read_plane
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
-from needlefit.datasets.importing.kinds import list_kinds
+from needlefit.datasets.importing.kinds import KINDS, list_kinds
 from needlefit.datasets.importing.mapped_table import MAX_LISTED_NAMES, MappedTable, list_tables
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.tables import name_files
@@ -52,7 +52,7 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
     tables = [*list_tables(mapping, paths, where)]
     curves = read_curves(tables, left_out)
     for mapped in tables:
-        if not mapped.kind.has_points:
+        if not mapped.has_points:
             _add_rows(mapped, curves)
     unwanted = {name.strip() for name in mapping.values.get("leave_out", "").split(",")} - {""}
     names = {name for curve in curves for name in (curve.name, curve.given)}
@@ -78,7 +78,7 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
 
 def read_curves(tables: Sequence[MappedTable], left_out: list[str]) -> list[ImportedCurve]:
     """Return the needles of tables of points; `left_out` gets the counts of points without a coordinate."""
-    of_points = [mapped for mapped in tables if mapped.kind.has_points]
+    of_points = [mapped for mapped in tables if mapped.has_points]
     curves = _join_observations([curve for mapped in of_points for curve in _read_points(mapped, left_out)])
     _name_curves(curves)
     return curves
@@ -159,7 +159,7 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
         curve = ImportedCurve(
             name or table.name,
             Points(Path(table.where), values, lines, _read_sds(mapped, rows)),
-            mapped.kind,
+            mapped.record.holds,
             mapped.read_facts(rows),
             is_deflection=is_deflection,
             guide=_read_guide(mapped, rows),
@@ -167,7 +167,7 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
         )
         if is_deflection:
             curve.stated.pop("depth", None)
-        mapped.kind.read(mapped, curve, rows)
+        KINDS[mapped.record.holds].read(mapped, curve, rows)
         yield curve
 
 
@@ -199,7 +199,7 @@ def _read_guide(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
 
 def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     """Add to needles what the rows of a table state of them: facts, turns or curvatures."""
-    record, table, kind = mapped.record, mapped.table, mapped.kind
+    record, table, kind = mapped.record, mapped.table, KINDS[mapped.record.holds]
     if record.of == "all":
         facts = mapped.read_facts(range(len(table.rows)))
         for curve in curves:
@@ -214,7 +214,7 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
         paired = pair_names(names, taken)
         for name in dict.fromkeys(name for name in names if name and name not in paired):
             points = Points(table.path, np.empty((0, 3)))
-            curves.append(ImportedCurve(_make_name(name, taken), points, kind))
+            curves.append(ImportedCurve(_make_name(name, taken), points, kind.name))
             taken.add(curves[-1].name)
     filled = [n for n in mapped.kept_rows if any(any(mapped.cells[key][n]) for key in record.columns)]
     rows = group_values((names[n], n) for n in filled)
@@ -238,7 +238,7 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     pairs = pair_names(rows, called.values())
     strangers = [name for name in rows if name not in pairs]
     without = [*dict.fromkeys(name for name in called.values() if name not in pairs.values())]
-    if strangers or (without and kind.is_of_each):
+    if strangers or (without and kind.name == "facts"):
         problem = f"no row is about {join_names(without, MAX_LISTED_NAMES)}"
         if strangers:
             problem = f"no {record.of} is called {join_names(strangers, MAX_LISTED_NAMES)}"
@@ -292,17 +292,17 @@ def _join_observations(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
 
     Tips stand beside the shape, a track is a further measurement of the same hole.
     """
-    shapes = {curve.name: curve for curve in curves if curve.kind.is_line and curve.is_named}
+    shapes = {curve.name: curve for curve in curves if curve.holds == "shapes" and curve.is_named}
     kept = list[ImportedCurve]()
     for curve in curves:
         shape, depths = shapes.get(curve.name), curve.line[:, 0] if curve.is_deflection else curve.depths
         if shape is not None and shape is not curve and len(depths):
             at_end = np.abs(shape.depth - depths) <= find_length_tolerance(float(depths[-1]))
-            beside = curve.kind.stand_beside
-            if at_end.any() if beside is not None else at_end[-1]:
+            if at_end[-1] or (curve.holds == "tips" and at_end.any()):
                 shape.hole = curve.hole = curve.name
-            if beside is not None:
-                curve = beside(shape, curve, at_end)
+            if curve.holds == "tips":
+                shape.tips += [curve.read_tip(n) for n in np.flatnonzero(at_end).tolist()]
+                curve = replace(curve, points=curve.points.part(np.flatnonzero(~at_end)))
         if len(curve.line):
             kept.append(curve)
     return kept

@@ -61,8 +61,8 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
     }
     if plan.needles:
         draft["needles"] = {name: needle.model_dump() for name, needle in plan.needles.items()}
-    rows = [curve.row for curve in content.curves if not curve.kind.in_tracker_frame]
-    tracks = [curve for curve in content.curves if curve.kind.in_tracker_frame]
+    rows = [curve.row for curve in content.curves if curve.holds != "tracks"]
+    tracks = [curve for curve in content.curves if curve.holds == "tracks"]
     surfaces = dict[str, Surface]()
     for surface in plan.surfaces:
         surfaces[make_unique(f"layers/{make_id(surface.name, 'surface')}", surfaces)] = surface
@@ -72,7 +72,7 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
         medium: {"surfaces": parts} if parts else {"boundaries_mm": [*depths]}
         for medium, depths in plan.boundaries_mm.items()
     }
-    curves = {curve.name: curve.points.to_columns() for curve in content.curves if curve.kind.is_line}
+    curves = {curve.name: curve.points.to_columns() for curve in content.curves if curve.holds == "shapes"}
     if rows:
         beside = {"turns": TURNS_FILE} if any(row.turns for row in rows) else {}
         if any(row.curvature is not None for row in rows):
@@ -105,7 +105,7 @@ def _trace_fault(fault: Fault, curves: Sequence[ImportedCurve], folder: Path) ->
     name, _, line = Path(fault.where).as_posix().removeprefix(f"{folder.as_posix()}/").rpartition(":")
     places = defaultdict[str, list[tuple[str, str, str]]](list)  # of each row: place, subject, needle
     for curve in curves:
-        in_tracker_frame, start = curve.kind.in_tracker_frame, f"curve {curve.name}"
+        in_tracker_frame, start = curve.holds == "tracks", f"curve {curve.name}"
         table = TRACKS_FILE if in_tracker_frame else f"centerlines/{curve.name}.csv"
         places[table] += [(curve.points.where(n), f"{start} ", curve.name) for n in range(len(curve.line))]
         if not in_tracker_frame:

@@ -31,4 +31,4 @@ def read_stated(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) 
     curve.state(facts)
 
 
-FACTS = RowKind("facts", propose_facts, 1, is_of_each=True, read=read_stated)
+FACTS = RowKind("facts", propose_facts, 1, read=read_stated)

@@ -20,7 +20,7 @@ from needlefit.datasets.importing.curve_answers import (
 )
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
-from needlefit.datasets.importing.kinds import KINDS, RowKind
+from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.kinds.tips import add_tips
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.meanings import INDEX, find_meaning
@@ -58,7 +58,7 @@ class ShapePlacer(Placer):
     def settle_places(self) -> None:
         """Settle at which end each needle enters, from which direction, and where; cut off its shaft."""
         require_order(self.curves)
-        beside = [curve for curve in self.others if not curve.kind.in_tracker_frame]
+        beside = [curve for curve in self.others if curve.holds != "tracks"]
         without = list_names(beside)
         if without:
             self.settler.note("without a shape", without)
@@ -475,16 +475,14 @@ def read_shape(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -
             fix=f"complete its points; or, of a table of tips: {mapped.name_edit('holds', 'tips')}",
             where=mapped.table.places[rows[0]],
         )
-    curve.kind = KINDS["tips"]
+    curve.holds = "tips"
 
 
 SHAPES = RowKind(
     "shapes",
     propose_shapes,
     3,
-    has_points=True,
     placer=ShapePlacer,
-    is_line=True,
     complete=complete_shapes,
     read=read_shape,
 )

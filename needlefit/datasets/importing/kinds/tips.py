@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from needlefit.datasets.importing.curve_answers import CurveAnswers, Placer, format_direction
@@ -188,18 +187,10 @@ def complete_tips(draft: TableDraft, records: Records) -> None:
         draft.draft.assumed["needle"] = f"{len(draft.table.rows)} needles, one a row: no column names them"
 
 
-def join_tips(shape: ImportedCurve, curve: ImportedCurve, at_end: NDArray[np.bool_]) -> ImportedCurve:
-    """Add readings of a tip to the shape at whose end they are; return the others."""
-    shape.tips += [curve.read_tip(int(n)) for n in np.flatnonzero(at_end)]
-    return replace(curve, points=curve.points.part(np.flatnonzero(~at_end)))
-
-
 TIPS = RowKind(
     "tips",
     propose_tips,
     4,
-    has_points=True,
     placer=TipPlacer,
-    stand_beside=join_tips,
     complete=complete_tips,
 )

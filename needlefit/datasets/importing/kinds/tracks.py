@@ -321,9 +321,7 @@ TRACKS = RowKind(
     "tracks",
     propose_tracks,
     6,
-    has_points=True,
     placer=TrackPlacer,
-    in_tracker_frame=True,
     complete=complete_tracks,
     read=read_readings,
 )
