@@ -153,7 +153,7 @@ def import_data(
 def _show_mapping(prepared: "PreparedImport") -> None:
     from needlefit.reporting.dataset_import import join_unused, tabulate_columns, tabulate_values
 
-    screen.show_frame(tabulate_columns(prepared.columns), "Columns")
+    screen.show_frame(tabulate_columns(prepared), "Columns")
     screen.show_frame(tabulate_values(prepared), "Values of all needles")
     screen.print_text(join_unused(prepared.unused))
 

@@ -14,7 +14,8 @@ from matplotlib.tri import Triangulation
 from needlefit.arrays import Floats
 from needlefit.datasets.bend_sides import Bend, measure_bends
 from needlefit.datasets.first_study import write_first_runs
-from needlefit.datasets.importing.meanings import VALUES
+from needlefit.datasets.importing.mapped_table import MappedTable
+from needlefit.datasets.importing.meanings import COORDINATES, MEANINGS, VALUES
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.prepare import PreparedImport
 from needlefit.datasets.importing.writing import CURVATURE_FILE, TRACKS_FILE, TURNS_FILE, write_plan
@@ -38,6 +39,8 @@ MAX_LABELLED_NEEDLES = 14  # more names would cover each other
 MAX_NAME_CHARS = 14  # of a name beside a needle
 AWAY_COLOUR = "#b3261e"
 MAX_DRAWN_TRIANGLES = 20_000
+MAX_SHOWN_CELLS = 4  # number of cells of a row in a table
+MAX_FIRST_VALUES = 3  # number of values of a column in a table
 MAX_LISTED_UNUSED = 6  # columns or rows of one file that a line lists
 
 _SURFACE_COLOURS = ("#c8b88a", "#a9b7c6", "#c9a3a3", "#a8bfa3")
@@ -115,15 +118,43 @@ def _format_point(point: Floats) -> str:
     return ", ".join(f"{value:z.1f}" for value in point)
 
 
-def tabulate_columns(columns: Sequence[dict[str, str]]) -> pd.DataFrame:
+def tabulate_columns(prepared: PreparedImport) -> pd.DataFrame:
     """Return one row for each meaning of each table: its column, unit and first values in mm."""
+    rows = list[tuple[str, ...]]()
+    for mapped in prepared.content.tables:
+        table = f"{mapped.table.file} {mapped.record.sheet.replace('*', '')}".strip()
+        for meaning, column in mapped.record.columns.items():
+            unit = column.unit or MEANINGS[meaning].unit
+            is_point = meaning in COORDINATES and mapped.has_points
+            key = "unit" if is_point else f"{meaning}.unit"
+            unit += ", assumed" if unit and key in prepared.mapping.assumed else ""
+            header = ", ".join(map(str, column.columns)) or column.source or f"= {column.value}"
+            unit = f"column {column.unit_column}" if column.unit_column else unit
+            rows.append((table, meaning, header, unit, ", ".join(_list_first(mapped, meaning))))
     keys = ["meaning", "column", "unit"]
-    frame = pd.DataFrame([*columns], columns=["table", *keys, "first values"])
+    frame = pd.DataFrame(rows, columns=["table", *keys, "first values"])
     if frame["table"].nunique() == 1:
         return frame.drop(columns=["table"])
     more = frame.groupby(keys, sort=False)["table"].transform("size") - 1
     frame["table"] += [f" and {count} more" if count else "" for count in more]
     return frame.drop_duplicates(keys)
+
+
+def _list_first(mapped: MappedTable, meaning: str) -> list[str]:
+    """Return the first values of a meaning, lengths in mm; of texts those that differ."""
+    is_length = MEANINGS[meaning].unit == "mm" and meaning not in ("diameter", "entry_point")
+    values = list[str]()
+    for n, cells in enumerate(mapped.cells[meaning]):
+        texts = [*cells[:MAX_SHOWN_CELLS]]
+        for k, cell in enumerate(texts) if is_length else ():
+            if mapped.table.number(cell) is not None:
+                texts[k] = f"{mapped.read_number(meaning, n, k):.4g} mm"
+        value = "; ".join(texts)
+        if any(cells) and (is_length or value not in values):
+            values.append(value)
+        if len(values) == MAX_FIRST_VALUES:
+            break
+    return values
 
 
 def tabulate_values(prepared: PreparedImport) -> pd.DataFrame:

@@ -19,7 +19,7 @@ from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import PatientSystem, normalize, to_lps
-from needlefit.project.input_files import read_json, read_text
+from needlefit.project.input_files import read_json, read_once, read_text
 from needlefit.project.units import UNITS_MM
 
 # What Slicer itself writes: an identifier, no address.
@@ -86,7 +86,7 @@ def read_markups(path: Path, with_planes: bool = False) -> tuple[Markups, ...]:
     """
     if path.suffix.lower() == ".fcsv":
         return (_parse_markups(path, _read_fcsv(path), 1),)
-    whole = read_json(path)
+    whole = _read_lists(path)
     lists = whole.get("markups") if isinstance(whole, dict) else None
     if not isinstance(lists, list) or not all(isinstance(table, dict) for table in lists):
         raise DataError(
@@ -119,6 +119,10 @@ def read_markups(path: Path, with_planes: bool = False) -> tuple[Markups, ...]:
     return tuple(parsed)
 
 
+_read_lists = read_once(read_json)
+
+
+@read_once
 def _read_fcsv(path: Path) -> dict[str, Any]:
     """Return the one list of a `.fcsv` file (Slicer 4 or later) as `.mrk.json` states it."""
     header: dict[str, str] = {"columns": ",".join(FCSV_COLUMNS)}

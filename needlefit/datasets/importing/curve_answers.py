@@ -1,6 +1,5 @@
 """Settle what is asked of every imported curve: an answer of each, the sides of their bevels, directions."""
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 
@@ -78,9 +77,6 @@ class CurveAnswers:
     ) -> None:
         self.curves, self.others, self.surfaces = curves, others, surfaces
         self.settler, self.settle = settler, settler.settle
-        of_all = [*curves, *others]
-        counts = Counter(key for curve in of_all for key in curve.stated)
-        self.partly_stated = {key for key in counts if counts[key] < len(of_all)}
 
     def each(self, key: str, usual: str | None = None, reason: str = "", is_sure: bool = False) -> Answers:
         """Return what holds of each needle: its own cell, else the value of all.
@@ -90,7 +86,7 @@ class CurveAnswers:
         """
         cells = {curve: curve.stated[key] for curve in self.curves if key in curve.stated}
         missing = [curve for curve in self.curves if curve not in cells]
-        is_stated = key in self.settler.values and key not in self.partly_stated
+        is_stated = key in self.settler.values and not self.settler.is_partly_stated(key)
         if not cells or (is_stated and not missing):
             return dict.fromkeys(self.curves, self.settle(key, usual, reason, is_sure=is_sure))
         if not missing:

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
+from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.stated import Stated
 from needlefit.datasets.layers import find_length_tolerance
 from needlefit.datasets.points import Points
@@ -155,4 +156,5 @@ class ImportContent:
     curves: list[ImportedCurve]
     surfaces: list[Surface]  # between the layers, in their order
     files: Mapping[str, str]  # SHA-256 of each file, by name
-    left_out: Sequence[str] = ()  # points without a measured coordinate, counted for each table
+    left_out: Sequence[str]  # points without a measured coordinate, counted for each table
+    tables: Sequence[MappedTable]  # as they were read

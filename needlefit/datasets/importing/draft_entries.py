@@ -1,4 +1,4 @@
-"""Propose the entries of a mapping for one table: the kind of its rows; columns, units and words of meanings."""
+"""Propose the entries of a mapping for one table: the kind of its rows, and columns, units and words."""
 
 from collections.abc import Sequence
 from itertools import permutations

@@ -24,7 +24,7 @@ from needlefit.datasets.importing.meanings import (
     read_header,
     split_unit,
 )
-from needlefit.datasets.importing.read import MAX_CURVES
+from needlefit.datasets.importing.read import MAX_CURVES, split_names
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
@@ -119,10 +119,13 @@ def _ask_markups(path: Path, table: Table, draft: Draft, files: Sequence[Path]) 
             answers = {"needle": {key: "shapes"}, "boundary": {"surfaces": path.name}}
             draft.ask("markups", path.name, answers, name=name, count=count)
     others = {other.name.partition(".")[0] for other in files if other != path}
-    for markups in read_markups(path) if "leave_out" not in draft.values else ():
+    left_out = split_names(draft.values.get("leave_out", ""))
+    for markups in read_markups(path):
         named = others.intersection(markups.labels)
-        if len(named) > 1 and not any(map(str.isdecimal, named)):  # Slicer itself counts points
-            answers = {"no": {"leave_out": markups.name}, "needle": {key: "shapes"}}
+        is_open = len(named) > 1 and markups.name not in left_out
+        if is_open and not any(map(str.isdecimal, named)):  # Slicer itself counts points
+            names = ",".join(sorted({*left_out, markups.name}))
+            answers = {"no": {"leave_out": names}, "needle": {key: "shapes"}}
             draft.ask("named_points", path.name, answers, name=markups.name)
 
 

@@ -7,9 +7,8 @@ from itertools import groupby
 from pathlib import Path
 
 from needlefit.datasets.importing.meanings import MISSING, VALUES, Keys, read_header
-from needlefit.datasets.importing.tables import MAX_TABLE_BYTES, Table, decode, parse_number, split_text
+from needlefit.datasets.importing.tables import Table, decode, parse_number, read_text_bytes, split_text
 from needlefit.errors import DataError
-from needlefit.project.input_files import read_bytes
 
 MAX_HEADER_ROWS = 6  # largest number of rows of headers
 SAMPLE_ROWS = 300  # number of rows by which separator and decimal sign are found
@@ -26,7 +25,7 @@ Rows = Sequence[Sequence[str]]
 
 def sniff_text(path: Path, given: Keys) -> tuple[Table, Keys]:
     """Return the cells of a text file, and how they are separated; `given`: what is stated of it."""
-    data = read_bytes(path, MAX_TABLE_BYTES)
+    data = read_text_bytes(path)
     encoding = given.get("encoding") or _find_encoding(data)
     text = decode(data, path, encoding)
     first = next((sign for sign in "%#" if re.search(rf"^{sign}", text, re.M)), "")

@@ -11,7 +11,7 @@ from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_files import draft_mapping, list_different
 from needlefit.datasets.importing.examples import find_examples
-from needlefit.datasets.importing.mapped_table import MappedTable, list_tables
+from needlefit.datasets.importing.mapped_table import list_tables
 from needlefit.datasets.importing.meanings import (
     COORDINATES,
     MEANINGS,
@@ -39,9 +39,7 @@ _GAUGE = re.compile(r"(?<![^\W_])(1\d|2\d|3[0-4]) ?G(?![^\W_])")  # of a name or
 MAX_LENGTH_RATIO = 8.0  # of the longest needle and the shortest: of cm among mm it is near 10
 DRAFT = "the draft of the mapping"  #: its place in messages
 DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")  # assumptions that are listed first
-MAX_SHOWN_CELLS = 4  # number of cells of a row on the screen
 CURVATURES = {"curvature_y", "curvature_z"}  # meanings whose greatest value is of both
-MAX_FIRST_VALUES = 3  # number of values of a column on the screen
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,6 @@ class PreparedImport:
     plan: ImportPlan
     unused: Pairs = ()  # what the files hold beside it, and where
     notes: Pairs = ()  # what was done with the curves
-    columns: Sequence[dict[str, str]] = ()  # of the screen
 
 
 #: a question, and why the last answer was refused -> the answer
@@ -123,14 +120,13 @@ def _prepare(paths: Sequence[Path], assignments: Pairs, mapping: Path | None) ->
         assumed["missing"] = f"points without a measured coordinate are left out: {left_out}"
     cells = [curve.stated for curve in content.curves]
     settler = Settler(values, assumed, cells, is_complete=mapping is not None)
-    columns = [*_describe_columns(record, files)]
     plan = ImportPlan(content, settler)
     assumed = {key: assumed[key] for key in dict.fromkeys((*DECISIVE, *assumed)) if key in assumed}
     origin = "example" if examples else record.origin
     record = record.model_copy(update={"values": values, "assumed": assumed, "origin": origin})
     if len(examples) < len(content.curves):
         plan.examples = tuple(examples)
-    return PreparedImport(record, content, plan, unused, settler.notes, columns)
+    return PreparedImport(record, content, plan, unused, settler.notes)
 
 
 def _load(mapping: Path, assignments: Pairs) -> MappingRecord:
@@ -244,41 +240,3 @@ def _require_lengths(content: ImportContent, record: MappingRecord) -> None:
     answers = {"differ": {"lengths": "differ"}, f"without {short.name}": {"leave_out": short.name}}
     text = f"{short.name} is {short.reach:.3g} mm long, the longest needle {longest:.3g} mm. Is this right?"
     raise UnansweredError(Question("", text, answers, short.points.where()))
-
-
-# ---- the screen
-
-
-def _describe_columns(record: MappingRecord, files: Sequence[Path]) -> Iterator[dict[str, str]]:
-    """Yield a row of the screen for each meaning of each table: column, unit, first values in mm."""
-    for mapped in list_tables(record, files, "the mapping"):
-        sheet = mapped.record.sheet.replace("*", "")
-        for meaning, column in mapped.record.columns.items():
-            unit = column.unit or MEANINGS[meaning].unit
-            is_point = meaning in COORDINATES and mapped.has_points
-            key = "unit" if is_point else f"{meaning}.unit"
-            unit += ", assumed" if unit and key in record.assumed else ""
-            yield {
-                "table": f"{mapped.table.file} {sheet}".strip(),
-                "meaning": meaning,
-                "column": ", ".join(map(str, column.columns)) or column.source or f"= {column.value}",
-                "unit": f"column {column.unit_column}" if column.unit_column else unit,
-                "first values": ", ".join(_list_first(mapped, meaning)),
-            }
-
-
-def _list_first(mapped: MappedTable, meaning: str) -> Sequence[str]:
-    """Return the first values of a meaning, lengths in mm; of texts those that differ."""
-    is_length = MEANINGS[meaning].unit == "mm" and meaning not in ("diameter", "entry_point")
-    values = list[str]()
-    for n, cells in enumerate(mapped.cells[meaning]):
-        texts = [*cells[:MAX_SHOWN_CELLS]]
-        for k, cell in enumerate(texts) if is_length else ():
-            if mapped.table.number(cell) is not None:
-                texts[k] = f"{mapped.read_number(meaning, n, k):.4g} mm"
-        value = "; ".join(texts)
-        if any(cells) and (is_length or value not in values):
-            values.append(value)
-        if len(values) == MAX_FIRST_VALUES:
-            break
-    return values

@@ -54,7 +54,7 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
     for mapped in tables:
         if not mapped.has_points:
             _add_rows(mapped, curves)
-    unwanted = {name.strip() for name in mapping.values.get("leave_out", "").split(",")} - {""}
+    unwanted = split_names(mapping.values.get("leave_out", ""))
     names = {name for curve in curves for name in (curve.name, curve.given)}
     if missing := unwanted - names:
         raise DataError(
@@ -71,9 +71,8 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
             fix="correct the mapping: what its tables hold, and the column of needle",
             where=where,
         )
-    return ImportContent(
-        curves, surfaces, {name: sha256(path) for path, name in name_files(paths).items()}, left_out
-    )
+    files = {name: sha256(path) for path, name in name_files(paths).items()}
+    return ImportContent(curves, surfaces, files, left_out, tables)
 
 
 def read_curves(tables: Sequence[MappedTable], left_out: list[str]) -> list[ImportedCurve]:
@@ -256,6 +255,11 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
 
 
 # ---- names
+
+
+def split_names(text: str) -> set[str]:
+    """Return the names of needles in a value of the mapping."""
+    return {name.strip() for name in text.split(",")} - {""}
 
 
 _WORD = re.compile(r"[^\W\d_]{3,}|.*[-_ .]")  # before the name of a needle: `needle_`, `needle`

@@ -193,6 +193,10 @@ class Settler:
         is_shared = key not in self.values and len(texts) == 1
         return self.cells[0].get(key) if is_shared else None
 
+    def is_partly_stated(self, key: str) -> bool:
+        """Return whether cells of some needles state a key, and not those of all."""
+        return len({key in cells for cells in self.cells}) > 1
+
     def note(self, subject: str, text: str) -> None:
         """Keep what was done with the curves, for the screen."""
         self.notes.append((subject, text))

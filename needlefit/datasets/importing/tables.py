@@ -347,8 +347,14 @@ def read_grids(path: Path, record: TableRecord) -> tuple[Table, ...]:
     """Return the grids of a text file, as its mapping states it, or of a workbook: one for each sheet."""
     if path.suffix.lower() in SHEET_SUFFIXES:
         return read_sheets(path)
-    text = decode(read_bytes(path, MAX_TABLE_BYTES), path, record.encoding)
+    text = decode(read_text_bytes(path), path, record.encoding)
     return (split_text(text, path, record.separator),)
+
+
+@read_once
+def read_text_bytes(path: Path) -> bytes:
+    """Return the content of a text table; DataError if it is missing or too large."""
+    return read_bytes(path, MAX_TABLE_BYTES)
 
 
 def decode(data: bytes, path: Path, encoding: str) -> str:

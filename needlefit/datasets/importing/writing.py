@@ -139,10 +139,8 @@ def _write_tracks(
             "bevel_roll_deg": np.degrees(curve.turn),
             POINT_SD_COLUMN: row.point_sd,
         }
-        numbers = np.column_stack([curve.depths, curve.line[:, :2], guide[:, :2]])
-        tables.append(
-            pd.DataFrame(numbers, columns=[*TRACK_COLUMNS]).assign(**cells)[[*cells, *TRACK_COLUMNS]]
-        )
+        numbers = zip(TRACK_COLUMNS, (curve.depths, *curve.line.T[:2], *guide.T[:2]), strict=True)
+        tables.append(pd.DataFrame({**cells, **dict(numbers)}))
     table = pd.concat(tables)
     source: dict[str, object] = {"file": TRACKS_FILE, "depth_zero": "tissue"}
     left_out = [name for name in OPTIONAL if table[name].isin([0, "", None, np.nan]).all()]
