@@ -26,12 +26,12 @@ from needlefit.datasets.importing.meanings import (
 )
 from needlefit.datasets.importing.read import MAX_CURVES, split_names
 from needlefit.datasets.importing.stated import name_set
+from needlefit.datasets.importing.table_rows import lay_out
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
     Table,
     is_like_number,
-    lay_out,
     name_files,
     read_sheets,
     read_structured,

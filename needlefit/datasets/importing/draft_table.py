@@ -19,7 +19,8 @@ from needlefit.datasets.importing.meanings import (
     read_header,
     split_unit,
 )
-from needlefit.datasets.importing.tables import BLOCK, Table
+from needlefit.datasets.importing.table_rows import BLOCK
+from needlefit.datasets.importing.tables import Table
 from needlefit.datasets.observations.tip_track import MIN_READINGS
 from needlefit.grouping import group_values
 from needlefit.project.locate import join_names

@@ -23,11 +23,11 @@ from needlefit.datasets.importing.meanings import (
     read_quantity,
 )
 from needlefit.datasets.importing.stated import Stated, name_set
+from needlefit.datasets.importing.table_rows import lay_out
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
     Table,
-    lay_out,
     name_files,
     name_stem,
     read_grids,
