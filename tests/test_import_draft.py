@@ -397,7 +397,7 @@ def test_an_answer_or_a_change_that_is_refused_is_asked_for_again(tmp_path):
         prompt=lambda question, problem: refused.append(problem) or next(replies),
         review=lambda prepared, problem: refused.append(problem) or next(changes),
     )
-    assert {curve.kind.name for curve in prepared.content.curves} == {"shapes"} and not [*changes]
+    assert {curve.holds for curve in prepared.content.curves} == {"shapes"} and not [*changes]
     assert [bool(problem) for problem in refused] == [False, True, False, True, True, True, False]
     assert prepared.plan.needle.outer_diameter_mm == GAUGES_MM[20]
     assert "diameter" not in prepared.mapping.assumed and "modulus" in prepared.mapping.assumed
