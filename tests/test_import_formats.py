@@ -408,7 +408,7 @@ def test_an_entry_of_one_point_in_an_array_of_structs_is_a_tip(tmp_path):
         array[0, n] = (f"n{n}", curve)
     savemat(tmp_path / "needles.mat", {"needles": array})
     curves, _ = curves_of([tmp_path / "needles.mat"], unit="mm")
-    assert [curve.kind.name for curve in curves.values()] == ["shapes", "shapes", "tips"]
+    assert [curve.holds for curve in curves.values()] == ["shapes", "shapes", "tips"]
     np.testing.assert_allclose(curves["n2"].line, CURVES[2][-1:])
 
 
