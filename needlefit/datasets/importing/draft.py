@@ -83,6 +83,10 @@ class Draft:
         if not any(replace(other, where=where) == asked for other in self.opens):  # of one sheet
             self.opens.append(asked)
 
+    def ask_column(self, meaning: str, where: str, answers: Answers, beside: str = "") -> None:
+        """Ask in which column a meaning stands."""
+        self.ask("column", where, answers, key=meaning, text=f"{MEANINGS[meaning].text}{beside}")
+
     def add(self, entry: Keys, path: Path) -> None:
         """Add the entry of a table; files that are read alike have one."""
         entry = entry | {"files": [name := self.names[path]]}

@@ -15,15 +15,7 @@ from needlefit.datasets.importing.draft_entries import draft_entries
 from needlefit.datasets.importing.examples import EXAMPLE_SHEET
 from needlefit.datasets.importing.kinds import KINDS
 from needlefit.datasets.importing.layout import propose_layout, sniff_text
-from needlefit.datasets.importing.meanings import (
-    MEANINGS,
-    NAMED_BY_LAYER,
-    VALUES,
-    Keys,
-    Pairs,
-    read_header,
-    split_unit,
-)
+from needlefit.datasets.importing.meanings import NAMED_BY_LAYER, VALUES, Keys, Pairs, read_header, split_unit
 from needlefit.datasets.importing.read import MAX_CURVES, split_names
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.table_rows import lay_out
@@ -100,8 +92,7 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
         numbers = [key.partition(".")[2] for key in draft.assumed if key.startswith("unused.")]
         for key in needed if len(needed) < 2 else "xy":
             answers = {name: {f"{key}.column": name} for name in numbers}
-            text = f"{MEANINGS[key].text} ({problem or paths[0]})"
-            draft.ask("column", str(paths[0]), answers, key=key, text=text)
+            draft.ask_column(key, str(paths[0]), answers, f" ({problem or paths[0]})")
     read = {name for table in draft.tables for name in table["files"]}
     for path in paths if not draft.opens else ():
         if (name := draft.names.get(path, "")) in draft.ignored.keys() - read:

@@ -133,7 +133,7 @@ class TableDraft:
                 known[meaning] = [axes[axis] for axis in sorted(axes)]
         if "depth" in known and not (known.keys() | blocked) & {"y", "deflection"}:
             known["deflection"] = [one for one in known["tip"] if len(one.numbers) == len(one.texts)]
-        for key in [key for key, some in known.items() if key not in MEANINGS or key in blocked or not some]:
+        for key in [key for key in known if key not in MEANINGS or key in blocked or not known[key]]:
             del known[key]
         if "guide" in known and self.draft.values.get("guide") != "none":
             self.draft.assumed["guide"] = (
@@ -196,7 +196,7 @@ class TableDraft:
                 str(along.name): {"x.column": str(along.name), "y.column": str(across.name)}
                 for (along,), (across,) in pairs
             }
-            self.ask("column", answers, key="x", text=MEANINGS["x"].text) if pairs else None
+            self.draft.ask_column("x", self.where, answers) if pairs else None
         lacking = [axes for axes in groups.values() if "x" not in axes]
         if len(with_x) == 1 and all("y" in axes for axes in lacking):
             for axes in lacking:
@@ -278,7 +278,7 @@ class TableDraft:
         """Ask which column has a meaning, perhaps one of some."""
         names = [*(str(column.name) for column in columns), *further]
         answers = {name: {f"{meaning}.column": name} for name in names}
-        self.ask("column", answers, key=meaning, text=MEANINGS[meaning].text)
+        self.draft.ask_column(meaning, self.where, answers)
 
     @cached_property
     def changing(self) -> set[str]:

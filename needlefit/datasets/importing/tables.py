@@ -292,7 +292,7 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
     (unit,) = units
     keys = dict.fromkeys(key for points in curves.values() for key in (*points.stated, *points.columns))
     fields = [key for key in keys if key.lower() not in UNIT_FIELDS and not _is_name(key)]
-    rows, places = list[list[str]](), list[str]()
+    rows, places = list[tuple[str, ...]](), list[str]()
     for name, points in curves.items():
         count = len(points.values)
         beside: dict[str, Sequence[str]] = {
@@ -300,11 +300,9 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
         }
         beside |= points.columns
         names = next((beside[key] for key in reversed(beside) if _is_name(key)), [name] * count)
-        for n, place in enumerate(points.values.tolist()):
-            rows.append(
-                [names[n], *map(repr, place), *(beside[key][n] if key in beside else "" for key in fields)]
-            )
-            places.append(points.where(n))
+        coordinates = (map(repr, axis) for axis in points.values.T.tolist())
+        rows += zip(names, *coordinates, *(beside.get(key, [""] * count) for key in fields), strict=False)
+        places += map(points.where, range(count))
     headers = ("needle", *(f"{axis} [{unit}]" if unit else axis for axis in "xyz"), *fields)
     system: PatientSystem | None = "LPS" if form.in_scan else None
     table = Table(path, rows, headers=headers, places=places, system=system, unit=unit)
