@@ -2,30 +2,26 @@
 
 import hashlib
 import json
-import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from pydantic_core import to_jsonable_python
 
-def to_json_values(value: Any) -> Any:  # noqa: ANN401 - of any type
+
+def to_json_values(value: object) -> Any:  # noqa: ANN401 - of any type
     """Return mappings, lists, text, numbers and None; numpy's become Python's, NaN and infinity None.
 
     What is none of these becomes its text.
     """
+    return to_jsonable_python(value, inf_nan_mode="null", fallback=_to_plain)
+
+
+def _to_plain(value: object) -> object:
     if hasattr(value, "tolist"):  # numpy arrays and scalars
-        is_finite = (
-            type(value).__module__ == "numpy" and value.dtype.kind == "f" and math.isfinite(value.sum())
-        )
-        value = value.tolist()
-        if is_finite:  # each number as it is: the sum of others is not finite
-            return value
-    if isinstance(value, str | int) or value is None:
-        return value
+        return value.tolist()
     if isinstance(value, Mapping):
-        return {str(key): to_json_values(inner) for key, inner in value.items()}
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return [to_json_values(inner) for inner in value] if isinstance(value, Iterable) else str(value)
+        return dict(value)
+    return [*value] if isinstance(value, Iterable) else str(value)
 
 
 def digest_values(values: object) -> str:
