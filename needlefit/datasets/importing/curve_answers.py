@@ -76,7 +76,8 @@ class CurveAnswers:
         others: Sequence[ImportedCurve] = (),
     ) -> None:
         self.curves, self.others, self.surfaces = curves, others, surfaces
-        self.settler, self.settle = settler, settler.settle
+        self.settler, self.assumed = settler, settler.assumed
+        self.settle, self.note = settler.settle, settler.note
 
     def each(self, key: str, usual: str | None = None, reason: str = "", is_sure: bool = False) -> Answers:
         """Return what holds of each needle: its own cell, else the value of all.
@@ -102,6 +103,11 @@ class CurveAnswers:
         """Return the number of each needle, in the unit of the key."""
         answers = self.each(key, usual, reason)
         return {curve: answer.to_number(key, is_above) for curve, answer in answers.items()}
+
+    @property
+    def point_sd_mm(self) -> float:
+        """The least standard deviation of a point, mm, once they are settled."""
+        return min(curve.point_sd for curve in self.curves)
 
     def stated(self, key: str) -> str:
         """Return what the mapping, or the same cell of every needle, states of all; empty if nothing."""
@@ -142,11 +148,11 @@ class Placer(CurveAnswers):
         """Settle entries and inserted lengths; `curves` may become others."""
         raise NotImplementedError
 
-    def fill_rows(self, point_sd: float) -> None:
-        """Fill in the rows, but medium, specimen, needle and guide; `point_sd`, mm: the least one."""
+    def fill_rows(self) -> None:
+        """Fill in the rows, but medium, specimen, needle and guide."""
         raise NotImplementedError
 
-    def choose_study(self, point_sd: float) -> Mapping[str, float | str]:
+    def choose_study(self) -> Mapping[str, float | str]:
         """Return keys of a first study."""
         return {}
 
@@ -162,7 +168,11 @@ class Placer(CurveAnswers):
             _, layers = select_layers(np.array(curve.boundaries), reach)
             curve.fill(layers=len(layers), boundary_sd=sds.get(curve, 0.0))
 
+    def settle_shifts(self) -> Numbers:
+        """Settle the standard deviations of entries per axis, mm: usually that of a point."""
+        return self.numbers("pose_shift_sd", usual=f"{self.point_sd_mm:g}", reason="that of a point")
+
     def note_deflections(self, zero: str = "from the line of insertion") -> None:
         """Note which deflections are positive, and from where they count, unless it is assumed."""
-        if "deflection" not in self.settler.assumed and any(curve.is_deflection for curve in self.curves):
-            self.settler.note("deflection", f"positive where a bevel of side 1 bends; {zero}")
+        if "deflection" not in self.assumed and any(curve.is_deflection for curve in self.curves):
+            self.note("deflection", f"positive where a bevel of side 1 bends; {zero}")

@@ -229,12 +229,11 @@ def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> It
                 fix=name_set(f"tables.{number}.files", f'["{near[0] if near else "*"}"]'),
                 where=where,
             )
-        count = 0
-        for path in matching:
-            for table in _read_tables(path, record):
-                count += 1
-                yield MappedTable(replace(table, file=names[path]), record, number)
-        if not count:
+        tables = [
+            replace(table, file=names[path]) for path in matching for table in _read_tables(path, record)
+        ]
+        yield from (MappedTable(table, record, number) for table in tables)
+        if not tables:
             raise DataError(
                 f"has no sheet {record.sheet!r}",
                 expected="a sheet of this name",

@@ -57,13 +57,12 @@ class ImportPlan(CurveAnswers):
         self.settle_layers()
         self.settle_needles()
         for placer in self.placers:
-            placer.fill_rows(min(curve.point_sd for curve in placer.curves))
+            placer.fill_rows()
         self.settle_names()
         parameters = self.settle_guide_distances()
-        self.point_sd_mm = sd = min(curve.point_sd for curve in self.curves)
         study = dict[str, float | str]()
         for placer in self.placers:
-            study |= placer.choose_study(sd)
+            study |= placer.choose_study()
         self.choices = FirstChoices(study, parameters)
         # of tip tracks, degrees: of the direction of each run, and of what all share
         self.slope_sds_deg = max(placer.slope_sds_deg for placer in self.placers)
@@ -74,6 +73,7 @@ class ImportPlan(CurveAnswers):
         names = {needle: f"needle{n}" for n, needle in enumerate(needles, 1)} if len(needles) > 1 else {}
         self.needle = next(iter(needles))  # of the rows that name none
         self.needles = {name: needle for needle, name in names.items()}
+        sd = self.point_sd_mm
         by_medium = group_values((curve.row.medium, curve.boundaries) for curve in self.curves)
         # by medium: depths of the boundaries between its layers, mm, where there are no surfaces
         self.boundaries_mm = {
@@ -126,7 +126,7 @@ class ImportPlan(CurveAnswers):
         """
         for n, surface in enumerate(self.surfaces):
             self.surfaces[n] = replace(surface, into=n + 2)
-            self.settler.note(f"surface {surface.name}", f"{surface.kind}, into layer {n + 2}")
+            self.note(f"surface {surface.name}", f"{surface.kind}, into layer {n + 2}")
         if self.surfaces:
             return
         answers, deepest = self.each("boundaries"), max(curve.depth for curve in self.curves)

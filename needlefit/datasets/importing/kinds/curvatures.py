@@ -30,7 +30,7 @@ class CurvaturePlacer(TipPlacer):
                     where=curve.points.path,
                 )
 
-    def fill_tips(self, point_sd: float) -> None:
+    def fill_tips(self) -> None:
         """Fill in that curvatures alone were measured."""
         for curve in self.curves:
             curve.fill(observation="curvature")

@@ -13,7 +13,6 @@ from needlefit.datasets.importing.curve_answers import (
     MIN_SAME_SIDE,
     Answers,
     BendsOfSides,
-    Numbers,
     Placer,
     format_direction,
     list_names,
@@ -61,7 +60,7 @@ class ShapePlacer(Placer):
         beside = [curve for curve in self.others if curve.holds != "tracks"]
         without = list_names(beside)
         if without:
-            self.settler.note("without a shape", without)
+            self.note("without a shape", without)
         self.settle_entry()
         self.poses = self.settle_pose(without)
         placed = [curve for curve in beside if len(curve.line) and not curve.is_deflection]
@@ -155,7 +154,7 @@ class ShapePlacer(Placer):
             cut_shaft(curve, arc, OTHER_END[self.entry])
         if cut:
             least, most = min(cut.values()), max(cut.values())
-            self.settler.note("shaft", f"{least:.1f} to {most:.1f} mm before the entry point cut off")
+            self.note("shaft", f"{least:.1f} to {most:.1f} mm before the entry point cut off")
         skins = surfaces & {answer.text for answer in answers.values()}
         self.surfaces[:] = [surface for surface in self.surfaces if surface.name not in skins]
 
@@ -211,11 +210,12 @@ class ShapePlacer(Placer):
                 expected = f"within {limit:.1f} mm the length of {curve.name}, which is {length:.1f} mm"
                 raise curve.stated["depth"].error("depth", expected, fix)
 
-    def fill_rows(self, point_sd: float) -> None:
+    def fill_rows(self) -> None:
         """Fill in entry poses and bevels."""
-        curves, angles = self.curves, self.settle_sides()
+        curves, point_sd = self.curves, self.point_sd_mm
+        self.angles = self.settle_sides() or {}
         self.note_deflections()
-        self.require_seen(angles or {})
+        self.require_seen()
         is_own = any("entry_point" in curve.stated for curve in curves)
         for curve in curves:
             curve.fill(
@@ -227,14 +227,14 @@ class ShapePlacer(Placer):
             )
         if self.pose_kind == "free":
             self.pose = "free"
-            self.compare_sides(angles)
+            self.compare_sides()
             self.meet_layers()
             return
         if any(curve.entry is None for curve in curves):
-            self.settler.note(
+            self.note(
                 "shift across", "fitted: the first point, taken as the entry, has moved with the needle"
             )
-        shifts = self.numbers("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
+        shifts = self.settle_shifts()
         axes, usual, reason, source = dict[ImportedCurve, ShaftAxis](), None, "", "stage"
         if self.pose_kind == "shaft":
             axes = {curve: fit_shaft(curve, point_sd, pose) for curve, pose in self.poses.items()}
@@ -243,43 +243,43 @@ class ShapePlacer(Placer):
             usual = source = "shaft"
         angle_sds = self.each("pose_angle_sd", usual, reason, is_sure=bool(axes))
         for curve, answer in angle_sds.items():
-            is_shaft = curve in axes and answer.text == "shaft"
-            stated_sd = 0.0 if is_shaft else float(np.radians(answer.to_number("pose_angle_sd")))
-            pose = self.poses[curve]
+            is_shaft, pose = bool(axes) and answer.text == "shaft", self.poses[curve]
             curve.fill(
                 entry=curve.start,
                 direction=axes[curve].direction if axes else normalize(pose.to_vector("pose")),
                 pose_source="first_point" if curve.entry is None else source,
                 pose_shift_sd=shifts[curve],
-                pose_angle_sd=axes[curve].angle_sd if is_shaft else stated_sd,
+                pose_angle_sd=axes[curve].angle_sd
+                if is_shaft
+                else float(np.radians(answer.to_number("pose_angle_sd"))),
                 turns=tuple((depth, np.radians(cell.to_angle()) - curve.turn) for depth, cell in curve.turns),
                 curvature=curve.read_curvature(),
             )
-        self.settle_bevel(angles)
+        self.settle_bevel()
         counts = {curve.name: len(curve.turns) + len(curve.sensors) for curve in curves}
         if texts := [f"{count} of {name}" for name, count in counts.items() if count]:
-            self.settler.note("turns, curvatures", join_names(texts, 8))
+            self.note("turns, curvatures", join_names(texts, 8))
             reason = "degrees, set by hand: bevel_roll_sd_deg of insertions.csv"
-            self.settler.assumed["bevel_roll_sd"] = f"{DEFAULT_ROLL_SD_DEG:g} {reason}"
+            self.assumed["bevel_roll_sd"] = f"{DEFAULT_ROLL_SD_DEG:g} {reason}"
         self.meet_layers({curve: float((curve.line[-1] - curve.start) @ curve.direction) for curve in curves})
         for curve in curves if self.surfaces else ():
             crossed = find_crossings(curve.points.curve.smoothed, self.surfaces).sequence
             curve.fill(layers=len(crossed) or curve.row.layers)
-        add_tips(self, point_sd)
+        add_tips(self)
 
     # ---- bevel
 
-    def require_seen(self, angles: Numbers) -> None:
+    def require_seen(self) -> None:
         """DataError if bevels lead needles across the plane in which alone their points were measured.
 
         It is that of most bevels, which face one way or the other in it.
         """
-        if not angles or any(curve.line[:, 2].any() for curve in self.curves):
+        if not self.angles or any(curve.line[:, 2].any() for curve in self.curves):
             return
-        ((plane, _),) = Counter(angle % 180.0 for angle in angles.values()).most_common(1)
+        ((plane, _),) = Counter(angle % 180.0 for angle in self.angles.values()).most_common(1)
         hidden = [
             curve
-            for curve, angle in angles.items()
+            for curve, angle in self.angles.items()
             if abs(np.sin(np.radians(angle - plane))) > MAX_HIDDEN_PART
         ]
         if hidden:
@@ -295,7 +295,7 @@ class ShapePlacer(Placer):
                 )
             )
 
-    def settle_bevel(self, angles: Numbers | None) -> None:
+    def settle_bevel(self) -> None:
         """Fill in toward which direction side 1 of each needle deflects; None: it bends toward its bevel.
 
         The mean of the bends, until the first turns, is all that is read of the shapes.
@@ -305,7 +305,7 @@ class ShapePlacer(Placer):
         before = [curve.points.curve.interpolate([arc])[0] for curve, arc in zip(curves, until, strict=True)]
         sides = BendsOfSides(curves, np.array(before) - [curve.start for curve in curves], along)
         guess, reason, fix, where = "bend", "every needle is taken to bend toward its bevel", "", ""
-        faced = {angle % 360.0 for angle in (angles or {}).values()} or {0.0}
+        faced = {angle % 360.0 for angle in self.angles.values()} or {0.0}
         if differ := any(curve.is_turned for curve in curves) or len(faced) > 1 or max(faced) >= 180.0:
             guess = format_direction(sides.mean)
             reason = "the mean direction in which needles bend from their sides"
@@ -330,7 +330,7 @@ class ShapePlacer(Placer):
         for curve, bevel in zip(curves, sides.turned.apply(answer.to_vector("bevel")), strict=True):
             curve.fill(bevel=bevel)
 
-    def compare_sides(self, angles: Numbers | None) -> None:
+    def compare_sides(self) -> None:
         """Fill in the direction that side 1 of each free shape faces in the frame of the points, if stated.
 
         It is their mean bend from the one direction that fits all needles; None where they bend from it in
@@ -338,16 +338,16 @@ class ShapePlacer(Placer):
         """
         fitted = fit_direction([curve.line for curve in self.curves])
         note = "a free shape bends toward its bevel"
-        if angles is not None:
+        if self.angles:
             note = "stated sides are not compared with the bends: no one direction fits the needles"
-        if angles is not None and fitted is not None:
+        if self.angles and fitted is not None:
             chords = np.array([curve.chord for curve in self.curves])
             sides = BendsOfSides(self.curves, chords, np.tile(fitted.vector, (len(chords), 1)))
             if np.abs(sides.toward @ sides.mean).sum() > MIN_SAME_SIDE * sides.sizes.sum():
                 note = f"stated sides are compared with the bends from {format_direction(fitted.vector)}"
                 for curve, bevel in zip(self.curves, sides.turned.apply(sides.mean), strict=True):
                     curve.fill(bevel=bevel)
-        self.settler.note("bevel", note)
+        self.note("bevel", note)
 
 
 # ---- points and shafts
@@ -427,7 +427,7 @@ def propose_shapes(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
         if draft.keys.get("layout") != "wide":
             draft.ask("layout", count=len(points))
             return points
-        places = [*points.values()]
+        places = points.values()
         return {"": {axis: [column for axes in places for column in axes.get(axis, ())] for axis in first}}
     is_version = any(find_meaning("version", name.split(" ")[0]) for name in draft.groups)
     if others and ("needle" in draft.taken or is_version):

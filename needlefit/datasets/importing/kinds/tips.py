@@ -29,18 +29,18 @@ class TipPlacer(Placer):
         for curve in self.curves:
             curve.depths = curve.line[:, 0]
 
-    def fill_tips(self, point_sd: float) -> None:
+    def fill_tips(self) -> None:
         """Fill in what was measured, toward bevels and across."""
         for curve in self.curves:
             curve.tips = [TipReading(curve.line[0, 1:], None, curve.points.where())]
-        add_tips(self, point_sd)
+        add_tips(self)
         self.note_deflections()
 
-    def fill_rows(self, point_sd: float) -> None:
+    def fill_rows(self) -> None:
         """Fill in depth, pose and what was measured."""
         self.settle_sides(is_needed=True)
-        self.fill_tips(point_sd)
-        shifts = self.numbers("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
+        self.fill_tips()
+        shifts = self.settle_shifts()
         angle_sds = self.numbers("pose_angle_sd")
         for curve in self.curves:
             turned = Rotation.from_rotvec([curve.turn, 0.0, 0.0])
@@ -87,9 +87,9 @@ def split_tips(asked: CurveAnswers) -> None:
                 insertion.stated["point_sd"] = Stated(f"{tip.sd:.6g}", "mm", tip.where)
             insertions.append(insertion)
     if are_joined:
-        asked.settler.note("tips", f"{sum(counts)} readings; those of a needle at one depth are joined")
+        asked.note("tips", f"{sum(counts)} readings; those of a needle at one depth are joined")
     if len(insertions) > len(asked.curves) and any(curve.hole for curve in insertions):
-        asked.settler.note("hole", "readings of one needle are of one hole")
+        asked.note("hole", "readings of one needle are of one hole")
     asked.curves[:] = insertions
 
 
@@ -114,16 +114,17 @@ def join_readings(tips: Sequence[TipReading], point_sd: float) -> TipReading:
     return TipReading(mean, float(weights.sum() ** -0.5), first.where)
 
 
-def add_tips(asked: CurveAnswers, point_sd: float) -> None:
+def add_tips(asked: CurveAnswers) -> None:
     """Fill in the deflections of tips toward +y and +z of their bevels.
 
     Where bevels differ, and each tip has one deflection that is not negative, they are toward the bevels.
-    One deflection of bevels that face along one line is along that line. `point_sd`, mm: of a reading that
-    states none. DataError if bevels face several ways, and nothing states the other deflection.
+    One deflection of bevels that face along one line is along that line. DataError if bevels face several
+    ways, and nothing states the other deflection.
     """
     curves = [curve for curve in asked.curves if curve.tips]
     if not curves:
         return
+    point_sd = asked.point_sd_mm
     tips = [join_readings(curve.tips, point_sd) for curve in curves]
     sides = np.array([curve.side for curve in curves])
     turns = np.array([curve.turn for curve in curves])
@@ -134,10 +135,10 @@ def add_tips(asked: CurveAnswers, point_sd: float) -> None:
         up, right = cosines * up + sines * right, cosines * right - sines * up
     elif (up >= 0).all():
         up = sides * up
-        asked.settler.assumed[key] = "toward the bevel: no deflection is negative, though bevels differ"
+        asked.assumed[key] = "toward the bevel: no deflection is negative, though bevels differ"
     elif len({*turns}) == 1:
         degrees = np.degrees(turns[0])
-        asked.settler.assumed[key] = f"positive toward {degrees:g} deg, as all bevels face this line"
+        asked.assumed[key] = f"positive toward {degrees:g} deg, as all bevels face this line"
     else:
         raise DataError(
             "bevels face several ways, and one deflection of each tip is stated",

@@ -50,7 +50,7 @@ class TrackPlacer(Placer):
             curve.depths = curve.line[:, 0] if curve.is_deflection else curve.depths
         settle_depth_zero(self)
         if self.is_stated("entry_point") and any(len(curve.depths) for curve in curves):
-            self.settler.note("entry_point", "not used of runs whose depths are stated")
+            self.note("entry_point", "not used of runs whose depths are stated")
         if not all(len(curve.depths) for curve in curves):
             measure_depths(self)
         settle_rolls(self)
@@ -86,7 +86,7 @@ class TrackPlacer(Placer):
         if not bends.agree:
             guess, reason = "", "tips bend to several sides, which a column `bevel side` should state"
         if guess and not is_alone:
-            self.settler.note("bevel of tracks", reason)
+            self.note("bevel of tracks", reason)
         else:
             guess = self.settle("bevel", guess, reason).text
         bevel = bends.mean if guess == "bend" else normalize(self.settle("bevel").to_vector("bevel"))
@@ -97,12 +97,12 @@ class TrackPlacer(Placer):
             raise self.settle("bevel").error("bevel", needed)
         return normalize(sideways)
 
-    def fill_rows(self, point_sd: float) -> None:
+    def fill_rows(self) -> None:
         """Fill in the sides of the bevels, and by how much they are turned."""
         for curve in self.curves:
             curve.fill(side=curve.side, turns=((0.0, curve.turn),) if curve.turn else ())
 
-    def choose_study(self, point_sd: float) -> Mapping[str, float | str]:
+    def choose_study(self) -> Mapping[str, float | str]:
         """Return which readings place a predicted run, and which difference of errors does not matter.
 
         Errors of other kinds beside them are compared in noise.
@@ -115,7 +115,7 @@ class TrackPlacer(Placer):
         slope_sd = max(self.numbers("pose_angle_sd", is_above=True).values())
         self.slope_sds_deg = slope_sd, slope_sd if self.is_posed else None
         study: dict[str, float | str] = {"registration_depth_mm": number}
-        return study if self.others else study | {"margin_mm": point_sd, "margin_for": MARGIN_FOR}
+        return study if self.others else study | {"margin_mm": self.point_sd_mm, "margin_for": MARGIN_FOR}
 
 
 def find_bends(curves: Sequence[ImportedCurve]) -> BendsOfSides:
@@ -181,9 +181,7 @@ def settle_rolls(asked: CurveAnswers) -> None:
         )
     is_flat = any(curve.turn for curve in curves) and not any(curve.line[:, 2].any() for curve in curves)
     if is_flat and not in_space:
-        asked.settler.assumed["deflection"] = (
-            "toward the bevel of side 1: one deflection is stated of each tip"
-        )
+        asked.assumed["deflection"] = "toward the bevel of side 1: one deflection is stated of each tip"
     for curve in curves if in_space or is_flat else ():
         curve.turn = 0.0  # of one plane, in which they bend
 
@@ -262,7 +260,7 @@ def measure_depths(asked: CurveAnswers) -> None:
             why = "by noise less deep than one before"
         keep_readings(asked, curve, depths, is_kept, why)
     start = "the entry point" if entries else "the first reading"
-    asked.settler.assumed["depth"] = f"the path of the tip along {pose.text} from {start} on"
+    asked.assumed["depth"] = f"the path of the tip along {pose.text} from {start} on"
 
 
 def keep_readings(
@@ -271,7 +269,7 @@ def keep_readings(
     """Leave out the other readings, and say why; `depths`: of all, mm."""
     if not is_kept.all():
         count = f"{np.sum(~is_kept)} of {len(depths)} readings"
-        asked.settler.note(curve.name, f"{count} are left out: {why}")
+        asked.note(curve.name, f"{count} are left out: {why}")
     rows = np.flatnonzero(is_kept)
     curve.points, curve.depths = curve.points.part(rows), depths[rows]
     curve.guide = None if curve.guide is None else curve.guide[rows]
