@@ -229,13 +229,14 @@ class Problem:
         other = replace(self, parameters=parameters)
         guided = any(insertion.guided for insertion in self.insertions)  # their response is by parameters
         if not guided and (BEVEL_SPREAD in parameters.names) == (BEVEL_SPREAD in self.parameters.names):
-            other.__dict__["_like"] = self._like
+            other.__dict__["_origin"] = self._like
         return other
 
-    @cached_property
+    @property
     def _like(self) -> "Problem":
         """The problem whose density differs in its parameters alone: itself, or what it was made of."""
-        return self
+        origin: Problem = self.__dict__.get("_origin", self)
+        return origin
 
     @cached_property
     def searched(self) -> "Problem":
