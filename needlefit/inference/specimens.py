@@ -20,6 +20,7 @@ a prior of m: draws are chosen by its inverse, so that it counts once.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -186,7 +187,7 @@ def differentiate_log_tip(problem: Problem, theta: Floats) -> Floats:
     return slopes
 
 
-#: means of which distances to all kernels are held at once: 4 MB of five parameters
+#: means of which densities of all kernels are held at once
 MEANS_AT_ONCE = 100
 
 
@@ -197,7 +198,7 @@ class Specimen:
     centres: Floats  #: (K, Q)
     kernel: Floats  #: (Q, Q) their covariance
 
-    @property
+    @cached_property
     def mean(self) -> Floats:
         """Mean of the posterior: (Q,)."""
         return self.centres.mean(axis=0)
@@ -207,17 +208,27 @@ class Specimen:
         """Covariance of the posterior: (Q, Q)."""
         return np.atleast_2d(np.cov(self.centres.T, bias=True)) + self.kernel
 
+    @cached_property
+    def _products(self) -> Floats:
+        """The products of coordinates (K, Q^2) of the centres about their mean."""
+        away = self.centres - self.mean
+        return (away[:, :, None] * away[:, None, :]).reshape(len(away), -1)
+
     def log_densities(self, means: Floats, covariances: Floats) -> Floats:
-        """Return ln N( c_k; m, H + T ) (W, K) of means (W, Q) and covariances T (W, Q, Q)."""
-        factor = np.linalg.cholesky(self.kernel + covariances)
-        whiten = np.linalg.inv(factor)
-        volume = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
-        densities = np.empty((len(means), len(self.centres)))
-        for start in range(0, len(means), MEANS_AT_ONCE):
-            some = slice(start, start + MEANS_AT_ONCE)
-            white = whiten[some] @ self.centres.T - whiten[some] @ means[some, :, None]  # (W, Q, K)
-            densities[some] = -0.5 * np.sum(white**2, axis=1) - volume[some, None]
-        return densities
+        """Return ln N( c_k; m, H + T ) (W, K) of means (W, Q) and covariances T (W, Q, Q).
+
+        The squared distances are products of matrices: residuals (W, Q, K) would take ten times as long.
+        """
+        whole = self.kernel + covariances
+        precisions = np.linalg.inv(whole)
+        away = means - self.mean
+        pulls = (precisions @ away[:, :, None])[..., 0]
+        logs = (
+            pulls @ (self.centres - self.mean).T - 0.5 * precisions.reshape(len(means), -1) @ self._products.T
+        )
+        constants = np.sum(pulls * away, axis=1) + np.linalg.slogdet(whole)[1]
+        logs -= 0.5 * constants[:, None]
+        return logs
 
 
 def make_specimen(draws: Floats) -> Specimen:
