@@ -82,6 +82,7 @@ def test_runs_count_from_first_contact_and_an_invalid_reading_leaves_one_out(tmp
         (4, {"at_mm": "2.0"}, r"steps.csv:4: run rest .*5\.7 .* 2 mm"),
         (4, {"x_mm": "left"}, r"steps.csv:4: x_mm .*'left'"),
         (14, {"at_mm": "60700"}, r"steps.csv:14: .*60644\.3 mm"),
+        (14, {"x_mm": "60"}, r"run rest deflects 60 mm on 60 mm"),
         (2, {"phantom": "wax"}, r"run rest .*'wax'"),
     ],
 )

@@ -366,17 +366,20 @@ def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
         [n, n / 60, 1, 0, 0, 0, x, y, z, 0.1, 1, 0, 0, 0, -20.0, 0.1 * n, 5.0, 0.1]
         for n, (x, y, z) in enumerate(NEEDLES[0])
     ]
-    file = write_rows(tmp_path / "log.csv", [head, *rows])
+    files = [write_rows(tmp_path / name, [head, *rows]) for name in ("log_1.csv", "log_2.csv")]
     answers = {"holds": "tracks", "bevel": "0,1,0"}
-    refusal(DataError, "guide", planned, [file], **answers)
+    assert "1, 2 were" in str(refusal(DataError, "guide", planned, files, **answers))
     if guide == "3":
-        refusal(DataError, "guide", planned, [file], **answers, guide=guide)
+        refusal(DataError, "guide", planned, files, **answers, guide=guide)
+    if guide == "none":  # the other tool stands beside the way of the tip
+        assert "leave_out=2,2-2" in refusal(DataError, "", planned, files, **answers, guide=guide).fix
+        assert len(placed(files, **answers, guide=guide, leave_out="2,2-2")[0].curves) == 2
     if guide == "2":
-        content, _, made = placed([file], **answers, guide=guide)
-        assert len(content.curves) == 1 and made["guide"] == ("2", "stated")
+        content, _, made = placed(files, **answers, guide=guide)
+        assert len(content.curves) == 2 and made["guide"] == ("2", "stated")
         np.testing.assert_allclose(content.curves[0].guide[:, 0], 0.1 * np.arange(16))
-        write_placed(tmp_path / "runs", [file], **answers, guide=guide)
-        (run,) = read(tmp_path / "runs").insertions
+        write_placed(tmp_path / "runs", files, **answers, guide=guide)
+        run, _ = read(tmp_path / "runs").insertions
         np.testing.assert_allclose(run.guide.y, 0.1 * np.arange(16), atol=1e-4)
 
 

@@ -13,6 +13,7 @@ from needlefit.datasets.digests import digest_track
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
 from needlefit.datasets.insertion import GuideMotion, Insertion
+from needlefit.datasets.layers import MAX_HEADING_DEG
 from needlefit.datasets.needles import find_unknown_needle, make_needles
 from needlefit.datasets.observations import HeldObservation
 from needlefit.errors import DataError
@@ -228,6 +229,14 @@ def _find_run_faults(
             expected=f"mm, at most {MAX_STEP_MM:g} at once",
             fix="convert to mm, or add the readings between",
             where=f"{places[n + 1]}",
+        )
+    run, deflection = (abs(float(numbers[-1] - numbers[0])) for numbers in (depth, values["tip_mm"]))
+    if deflection > np.sin(np.radians(MAX_HEADING_DEG)) * run:
+        yield DataError(
+            f"run {id_} deflects {deflection:.3g} mm on {run:.3g} mm",
+            expected=f"at most {MAX_HEADING_DEG:g} degrees from its direction",
+            fix="correct the column of its deflections, or their unit",
+            where=first,
         )
     absent = np.flatnonzero(np.isnan(values["tip_z_mm"]))
     if 0 < len(absent) < len(depth):

@@ -118,10 +118,11 @@ class ShapePlacer(Placer):
             if direction @ chord[[*order]] >= np.cos(np.radians(MAX_HEADING_DEG)):
                 fix += f": columns seem to be {', '.join('xyz'[axis] for axis in order)}"
             is_few = 2 * len(off) <= len(poses)
-            if angle > 180.0 - MAX_HEADING_DEG:
-                end = name_set("entry", OTHER_END[self.entry])
-                fix = advise_order(off) if is_few else f"if the files begin at the tips, {end}"
-            fix = fix if is_few else f"state {name_set('pose', along)}; or {fix}"
+            fixes = [f"state {name_set('pose', along)}", fix]
+            if angle > 180.0 - MAX_HEADING_DEG:  # stages are known better than the order in files
+                fixes = [f"state {name_set('entry', OTHER_END[self.entry])}", fixes[0]]
+                fix = advise_order(off)
+            fix = fix if is_few else "; or ".join(fixes)
             needed = f"at most {MAX_HEADING_DEG:g} degrees off the needles, {along}; {list_names(off)} runs "
             raise pose.error("pose", f"{needed}{angle:.0f} degrees off it", fix)
         return poses

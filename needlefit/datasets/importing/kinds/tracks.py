@@ -168,7 +168,7 @@ def settle_rolls(asked: CurveAnswers) -> None:
         raise DataError(
             f"run {turned[0].name} has turns of its bevel, or curvatures, beside its readings",
             expected="readings alone, of a bevel that is not turned",
-            fix="import its readings without the other tables",
+            fix=f"leave it out: {name_set('leave_out', ','.join(curve.name for curve in turned))}",
             where=turned[0].points.where(),
         )
     in_space = not all(curve.is_deflection for curve in curves) and asked.stated("bevel") in ("", "bend")
@@ -196,14 +196,14 @@ def settle_guide(asked: CurveAnswers) -> None:
         for curve in curves:
             curve.guide = None
     with_lines = [curve for curve in curves if curve.points.lines is not None]
-    rows = group_values(((curve.points.path, *curve.points.lines), curve.name) for curve in with_lines)  # type: ignore[misc]
-    beside = sorted(name for tools in rows.values() if len(tools) > 1 for name in tools)
+    rows = group_values(((curve.points.path, *curve.points.lines), curve.given) for curve in with_lines)  # type: ignore[misc]
+    beside = sorted({name for tools in rows.values() if len(tools) > 1 for name in tools})
     is_known = stated == "none" or any(curve.guide is not None for curve in curves)
     if is_known or not (beside or stated):
         return
-    names = join_names(beside or [curve.name for curve in curves], 5)
+    names = join_names(beside or [curve.given for curve in curves], 5)
     answer = asked.settle("guide", "", f"{names} were tracked in the same rows")
-    guides = [curve for curve in curves if f"-{curve.name}".endswith(f"-{answer.text}")]
+    guides = [curve for curve in curves if f"-{curve.given}".endswith(f"-{answer.text}")]
     curves[:] = [curve for curve in curves if curve not in guides]
     for guide in guides:
         of_file = [tip for tip in curves if tip.points.path == guide.points.path]
@@ -248,6 +248,14 @@ def measure_depths(asked: CurveAnswers) -> None:
     guess = format_direction(snap_to_axis(normalize(chord)))
     pose = asked.settle("pose", guess, "the direction in which the tips run")
     axis, entries = normalize(pose.to_vector("pose")), Answers()
+    moved = {curve: np.ptp(curve.line @ axis) for curve in asked.curves if not len(curve.depths)}
+    if still := ",".join(curve.name for curve, run in moved.items() if run < GUIDE_STILL_MM):
+        raise DataError(
+            f"{still} moves less than {GUIDE_STILL_MM:g} mm along {pose.text}",
+            expected="tips on their way into the tissue",
+            fix=f"leave it out: {name_set('leave_out', still)}; or correct {name_set('pose', 'X,Y,Z')}",
+            where=asked.curves[0].points.where(),
+        )
     if asked.is_stated("entry_point"):
         entries = asked.each("entry_point")
     for curve, sd in asked.numbers("point_sd", is_above=True).items():
