@@ -2,14 +2,14 @@
 
 import math
 import os
-import subprocess
-import sys
+import resource
 from dataclasses import replace
-from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
+from inference_cases import medium
 from numpy.random import default_rng
 from pytest import approx
 from refusals import refusal
@@ -19,6 +19,8 @@ from scipy.stats import truncnorm
 
 from needlefit.errors import DataError
 from needlefit.inference.fit import Callbacks
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.sampling.interpolated_density import MAX_RMS_ERROR
 from needlefit.inference.sampling.posterior import MAX_R_HAT, Posterior, load, save
 from needlefit.inference.sampling.sample import compare_means, compute_autocorrelation_time, compute_r_hat
 
@@ -67,6 +69,53 @@ def test_a_budget_that_is_spent_marks_the_draws():
     assert not np.array_equal(got.draws, draw(GAUSSIAN, BEGIN, seed=2, **SHORT).draws)
 
 
+# ---- interpolated densities, and parameters that are held
+
+
+class Interpolation:
+    """The density and 0.1 more, and how far it is off by what it says."""
+
+    fixed, checked = False, 0
+
+    def __init__(self, error):
+        self.error = error
+
+    def __call__(self, thetas):
+        return GAUSSIAN.log_density(thetas) + 0.1
+
+    def find_error(self, thetas):
+        self.checked = len(thetas)
+        return self.error
+
+
+@pytest.mark.parametrize(("error", "off"), [(0.9 * MAX_RMS_ERROR, 0.1), (1.1 * MAX_RMS_ERROR, 0.0)])
+def test_a_chain_by_interpolated_densities_is_made_again_if_they_err_too_much(error, off):
+    nodes, count = Interpolation(error), 16 * 260
+    begin = replace(BEGIN, interpolated=nodes)
+    got = draw(GAUSSIAN, begin, walkers=16, densities=count, independent_draws=10**6)
+    away = got.log_posterior.ravel() - GAUSSIAN.log_density(flat(got))
+    assert np.median(away) == approx(off, abs=1e-12)  # but of a walker that never moved
+    assert nodes.fixed and nodes.checked == 64
+
+
+class Searched(Known):
+    names = ("mu1_pa", "bevel_mm")
+
+
+def test_parameters_that_are_held_are_independent_draws_of_their_prior():
+    alpha = {"bounds": [-7, 9], "prior": {"mean": 1.0, "sd": 2.0}}
+    parameters = Parameters.from_record(medium(1, alpha1=alpha))
+    searched = Searched(GAUSSIAN.log_density, half=2.0)
+    got = draw(SimpleNamespace(searched=searched, parameters=parameters), BEGIN, **SHORT)
+    plain = draw(searched, BEGIN, **SHORT)
+    assert got.names == parameters.free == ("mu1_pa", "alpha1", "bevel_mm")
+    assert np.array_equal(got.draws[..., [0, 2]], plain.draws)
+    held = got.draws[..., 1]
+    assert (held.mean(), held.std()) == approx((1.0, 2.0), abs=0.3)
+    for name, value in (("r_hat", 1.0), ("autocorrelation_time", 1.0), ("apart", 0.0)):
+        assert getattr(got, name) == approx(np.insert(getattr(plain, name), 1, value))
+
+
 # ---- failures
 
 
@@ -95,26 +144,14 @@ def test_a_stopped_run_has_the_draws_that_it_made():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a limit on the size of files")
-def test_draws_that_a_full_disk_cannot_keep_are_an_error_and_no_crash(tmp_path):
+def test_draws_that_a_full_disk_cannot_keep_are_an_error(tmp_path):
     """Beyond a limit on the size of files a write fails, as on a full disk."""
-    words = [sys.executable, "-c", FULL_DISK, str(tmp_path)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=Path(__file__).parent)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.split() == ["OSError"]
-
-
-FULL_DISK = """
-import resource, sys
-from pathlib import Path
-from test_inference_sample import BEGIN, GAUSSIAN, SHORT, draw
-from needlefit.inference.sampling.posterior import save
-posterior = draw(GAUSSIAN, BEGIN, **SHORT)
-resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))
-try:
-    save(posterior, Path(sys.argv[1]) / "posterior.nc")
-except Exception as error:
-    print(type(error).__name__)
-"""
+    posterior, (soft, hard) = draw(GAUSSIAN, BEGIN, **SHORT), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (6000, hard))
+    try:
+        refusal(OSError, "", save, posterior, tmp_path / "posterior.nc")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 # ---- convergence of chains whose values are known
