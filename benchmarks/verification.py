@@ -2,10 +2,11 @@
 
     python benchmarks/verification.py [--cases 40] [--seed 1]
 
-Each row is the largest error found, or the range of the observed orders. The measures and the named cases are
-those of `tests/solver_checks`; `--cases` random ones are drawn for each of the last rows. Random insertions
-have one to four layers of any law, mu from 1 kPa to 100 MPa and t from 5 to 80 mm; where kernel and
-derivatives are compared they also have guides, tracked tips, friction, turns of the bevel and retractions.
+Each row is the largest error found, or the range of the observed orders. The measures and the named cases
+are those of `tests/solver_checks` and `collocation.py`; `--cases` random ones are drawn for each of the
+last rows. Random insertions have one to four layers of any law, mu from 1 kPa to 100 MPa and t from 5 to
+80 mm; where kernel and derivatives are compared they also have guides, tracked tips, friction, turns of
+the bevel and retractions.
 """
 
 import argparse
@@ -19,10 +20,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 import reference_solver
+from collocation import COLLOCATED, measure_difference
 from mechanics_cases import random_case
 from solver_checks.beams import FOUNDED, LOADED
 from solver_checks.clamped import MANUFACTURED, measure_orders
-from solver_checks.collocation import COLLOCATED, measure_difference
 from solver_checks.refinement import (
     ADVANCED,
     PHANTOM2,

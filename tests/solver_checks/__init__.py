@@ -1,8 +1,7 @@
 """Solutions of the model by other means than its solver, and how far the solver is from them.
 
-`beams` are closed forms, `clamped` manufactured solutions, `collocation` equilibria by
-SciPy. Errors are the largest at and between nodes. `tests/test_mechanics_verification.py` states the bounds,
-`benchmarks/verification.py` prints what is found.
+`beams` are closed forms, `clamped` manufactured solutions. Errors are the largest at and between nodes.
+`tests/test_mechanics_verification.py` states the bounds, `benchmarks/verification.py` prints what is found.
 """
 
 import numpy as np
@@ -12,7 +11,6 @@ from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
-STEP = 1e-30  #: of complex steps: nothing is subtracted, so that the derivative is exact to rounding
 
 
 def react(tissue, layer, e, slope):

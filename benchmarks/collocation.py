@@ -10,12 +10,13 @@ continuity of u to u''' from piece to piece.
 import numpy as np
 from equilibrium import equilibrium
 from scipy.integrate import solve_bvp
+from solver_checks import NEEDLE, interpolate, react
 
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from solver_checks import NEEDLE, STEP, interpolate, react
 
+STEP = 1e-30  # of complex steps: nothing is subtracted, so that the derivative is exact to rounding
 UNIT = 10.0  # mm: derivatives of order n are kept in mm per (10 mm)^n, to be alike in size
 AT = np.linspace(0.0, 1.0, 9)
 
