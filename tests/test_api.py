@@ -2,7 +2,6 @@
 
 import doctest
 import math
-import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -157,24 +156,6 @@ def test_the_public_names_alone_are_listed():
     assert dir(needlefit) == sorted(needlefit.__all__)
 
 
-@pytest.mark.sweep
-@pytest.mark.usefixtures("few_draws")
-def test_models_are_compared_by_what_they_predict_of_insertions_left_out(sampled):
-    recipe = {**RECIPE, "sample": {"independent_draws": 1000}}
-    names = [f"chicken-0{number}" for number in range(3, 8)]
-    run = needlefit.sample("twin", "chicken", tune={"insertions": names}, recipe=recipe)
-    found = needlefit.estimate_elpd(run, leave_out="insertion")
-    assert found.index.tolist() == names and (found["pareto_k"] < 0.7).all()
-    # exactly it is the evidence of all insertions, less that of the others
-    whole, rest = (
-        api.estimate_evidence("twin", "chicken", tune={"insertions": some}, recipe=recipe)["log_evidence"]
-        for some in (names, names[1:])
-    )
-    assert found["elpd"].iloc[0] == approx(whole - rest, abs=0.2)
-    for wrong in (sampled, replace(run, posteriors={})):
-        refusal(ConfigError, "", needlefit.estimate_elpd, wrong)
-
-
 def test_of_several_media_the_one_with_the_name_of_the_tissue_model_is_fitted(dataset):
     fitted = api._open_fit("twin", "phantom1", stored=False)
     assert fitted.record.tune.medium == "phantom1" and "phantom1" in fitted.record.note
@@ -220,21 +201,3 @@ def test_errors_of_a_study_are_those_of_validate_and_change_with_the_tissue_mode
     assert changed.loc[fitted] != approx(scored.loc[fitted, "te_mm"], rel=1e-3)
     refusal(ConfigError, "", api.score_study, "design")
     refusal(ConfigError, "", needlefit.validate, "plan", medium=stiffer)
-
-
-SIMULATED = """
-title = "two"
-values = { mu1_pa = 3e3, alpha1 = 8.0, bevel_mm = 0.03 }
-needle = { length_mm = 150.0, outer_diameter_mm = 1.27, youngs_modulus_gpa = 80.0 }
-noise = { registration_mean_mm = 0.1, point_sd_mm = 0.01 }
-insertions = [{ depth_mm = 30.0 }, { depth_mm = 40.0, side = -1, base_moved_mm = 5.0 }]
-"""
-
-
-def test_a_simulated_dataset_has_its_insertions_and_no_files():
-    table = tomllib.loads(SIMULATED)
-    one, same, other = (api.simulate_dataset(table, "thin_gel", seed) for seed in (1, 1, 2))
-    assert [insertion.depth for insertion in one.insertions] == [30.0, 40.0] and one.origin == "synthetic"
-    assert np.array_equal(one.insertions[1].points, same.insertions[1].points)
-    assert not np.array_equal(one.insertions[1].points, other.insertions[1].points)
-    refusal(ConfigError, "", api.simulate_dataset, table | {"noise": {"point_sd": 1.0}}, "thin_gel", 1)

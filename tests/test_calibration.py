@@ -7,11 +7,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import scipy
-from pytest import approx
-from synthetic import find_twin_truth
-from synthetic.design import POPULATION, draw_deviations, draw_specimen, list_designs
-
-from needlefit import api
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -52,14 +47,3 @@ def test_the_rows_of_the_documents_pass_from_the_prior_and_cover_tips_of_other_t
     tips = pd.read_csv(ROOT / "docs/figures/calibration_synthetic.csv").query("quantity == 'held-out tip'")
     assert tips.groupby("study")["seed"].nunique().tolist() == [40] * 5
     assert tips.groupby("study")["in_95"].mean().between(0.91, 1.0).all()
-
-
-def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fitted_to():
-    problem = api.make_problem("study1")
-    specimen = draw_specimen(9, "phantom2", "phantom2", POPULATION)
-    planned = {one.id: one for one in list_designs()}
-    deviations = [draw_deviations(9, planned[one.id]).bevel for one in problem.insertions]
-    expected = specimen.bevel * np.exp(specimen.insertion_bevel_sd * np.mean(deviations))
-    truth = find_twin_truth(problem, 9)
-    assert truth["bevel_mm"] == approx(expected) and expected != approx(specimen.bevel, rel=1e-4)
-    assert truth["mu2_pa"] == approx(1e6 * specimen.mu[1]) and "alpha1" not in truth

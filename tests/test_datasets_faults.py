@@ -153,7 +153,8 @@ FAULTS = [
     *((f"{ROWS}:2", row(**cells)) for cells in (
         *({"depth_mm": value} for value in ("nan", "", "0.05", "151")), {"medium": "jelly"}, {"bevel_x": "1"},
         {"bevel_x": "2", "bevel_y": "0", "bevel_z": "0"}, {"entry_dx": "2"}, {"pose_source": "none"},
-        {"guide_distance_mm": "110"}, {"id": "../a"}, {"layers": "5", "layers_alternative": "5"})),
+        {"guide_distance_mm": "110"}, {"id": "../a"}, {"specimen": "=1+1"},
+        {"layers": "5", "layers_alternative": "5"})),
     (f"{A}:2", row(depth_mm="60")),
     (f"{ROWS}:4", cell(ROWS, 4, id="a")),
     # needles and boundaries of single insertions

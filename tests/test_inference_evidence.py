@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.sampling import interpolated_density
@@ -82,13 +81,3 @@ def test_values_left_out_of_a_known_mean_have_their_known_density():
     others, variance = (values.sum() - values) / 9, 1 + 1 / 9
     expected = -0.5 * (values - others) ** 2 / variance - 0.5 * np.log(2 * np.pi * variance)
     assert elpd == pytest.approx(expected, abs=0.02) and k.max() < 0.5
-
-
-@pytest.mark.parametrize("count", [4, 400])
-def test_linear_values_are_interpolated_exactly(count):
-    rng = default_rng(3)
-    points, changes = rng.standard_normal((40, 3)), rng.standard_normal((4, count))
-    interpolation = interpolated_density._Interpolation()
-    for some in (points[:25], points[25:]):
-        interpolation.add(some, np.column_stack([np.ones(len(some)), some]) @ changes)
-    assert_allclose(interpolation(np.full((1, 3), 0.5)), [[1, 0.5, 0.5, 0.5]] @ changes, atol=1e-9)

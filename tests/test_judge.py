@@ -205,23 +205,23 @@ def find(results, check):
 
 
 @pytest.mark.parametrize(
-    ("levels", "passed"),
+    ("trials", "levels", "intervals", "half"),
     [
-        ((0.1, 0.4, 0.7, 0.97), {"intervals_95": True, "coverage_50": True}),
-        ((0.9999,), {"intervals_95": False, "coverage_50": False}),
-        ((0.5,), {"intervals_95": True, "coverage_50": False}),  # too many in the 50 % intervals
+        (7, (0.1, 0.4, 0.7, 0.97), True, True),
+        (7, (0.9999,), False, False),
+        (7, (0.5,), True, False),  # too many in the 50 % intervals
+        *((trials, (0.3,), True, half) for trials, half in ((3, None), (4, False))),
+        # one fit has no interval; that no tip lies in its 95 % interval is unlikely all the same
+        *((1, levels, None, None) for levels in ((0.5,), (0.5, 0.9999))),
+        (1, (0.9999,), False, None),
     ],
 )
-def test_coverage_of_several_trials_has_an_interval(levels, passed):
-    found = {one.check: one for one in list_checks(by_trials(with_predictions(study(1), levels)))}
-    assert {str(key): found[key].passed for key in (Check.INTERVALS, Check.COVERAGE_50)} == passed
-    assert (found[Check.INTERVALS].trials, found[Check.INTERVALS].tips) == (7, 7)
-
-
-@pytest.mark.parametrize(("trials", "half"), [(3, None), (4, False)])
-def test_all_tips_of_three_trials_do_not_contradict_one_half(trials, half):
-    results = by_trials(with_predictions(study(1), (0.3,)), trials)
-    assert find(results, Check.COVERAGE_50).passed is half
+def test_coverage_of_several_trials_has_an_interval(trials, levels, intervals, half):
+    results = with_predictions(study(1), levels)
+    found = {one.check: one for one in list_checks(results if trials == 1 else by_trials(results, trials))}
+    assert (found[Check.INTERVALS].passed, found[Check.COVERAGE_50].passed) == (intervals, half)
+    tips = 7 if trials == 1 else trials
+    assert (found[Check.INTERVALS].trials, found[Check.INTERVALS].tips) == (trials, tips)
 
 
 def by_trials(results, count=None):
@@ -229,17 +229,6 @@ def by_trials(results, count=None):
     predictive = results.frames["predictive"].iloc[:count]
     numbers = [str(number) for number in range(len(predictive))]
     return results.with_frames(predictive=predictive.assign(fold=numbers, specimen=numbers))
-
-
-@pytest.mark.parametrize(
-    ("levels", "intervals", "half"),
-    [((0.5,), None, None), ((0.5, 0.9999), None, None), ((0.9999,), False, None)],
-)
-def test_one_fit_has_no_interval_of_its_coverage(levels, intervals, half):
-    """No tip in its 95 % interval is unlikely, however tips depend on each other."""
-    found = {one.check: one for one in list_checks(with_predictions(study(1), levels))}
-    assert found[Check.INTERVALS].trials == 1
-    assert (found[Check.INTERVALS].passed, found[Check.COVERAGE_50].passed) == (intervals, half)
 
 
 def test_the_width_that_serves_for_aiming_is_a_key_of_the_recipe():

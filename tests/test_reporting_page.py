@@ -3,9 +3,8 @@ from html.parser import HTMLParser
 import pytest
 from reporting_results import study
 
-from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_html, compile_pdf
-from needlefit.reporting.table import Table, TableColumn, TableLayout
+from needlefit.reporting.table import Table
 from needlefit.reporting.text import KindText
 from needlefit.studies.fit_figures import draw_overlays
 from needlefit.studies.report import compose_run_report
@@ -54,22 +53,6 @@ def test_every_figure_and_table_can_be_reached_and_is_described(page):
     assert outline.all("html")[0]["lang"] == "en" and len(outline.all("h1")) == 1
     assert all(image["alt"] and int(image["width"]) > 300 for image in outline.all("img"))
     assert all(head["scope"] == "col" for head in outline.all("th"))
-
-
-def test_user_text_is_escaped():
-    display = TableLayout(
-        "t",
-        "<b>bold</b>",
-        (TableColumn("<i>", align="left"), TableColumn("x")),
-        (("mu * b^-1.9", "<script>"),),
-    )
-    blocks = (document.heading("a & b"), document.table(display))
-    content = compile_html(document.Document("<u>", "", False, blocks))
-    outline = Outline(content)
-    assert not {"i", "u"} & {tag for tag, _ in outline.tags}
-    assert b"<td" in content and b"<script></td>" not in content
-    assert b"b<sup>\xe2\x88\x921.9</sup>" in content and "a & b" in outline.words
-    assert "<script>" in outline.words and "<b>bold</b>" in "".join(outline.words)
 
 
 TEXT = """

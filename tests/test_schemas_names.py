@@ -1,10 +1,5 @@
 """Names that a spreadsheet, a terminal or a file system would act on are refused, wherever they come from."""
 
-import pandas as pd
-import pytest
-from test_datasets import write_mine
-
-from needlefit.datasets.read import check
 from needlefit.schemas.names import file_name_fault, name_fault
 
 BAD = [
@@ -31,13 +26,3 @@ def test_names_that_a_spreadsheet_a_terminal_or_a_file_system_would_act_on():
         assert name_fault(name) == ""
     for name in ["", ".", "..", "a/b", "../a", "a\\b", "x" * 201]:
         assert file_name_fault(name)
-
-
-@pytest.mark.parametrize("name", [name for name in BAD if name.strip() == name and "\r" not in name])
-def test_a_specimen_is_refused_with_file_and_line(name, tmp_path):
-    write_mine(tmp_path)
-    table = pd.read_csv(tmp_path / "insertions.csv", dtype=str, keep_default_na=False)
-    table.loc[1, "specimen"] = name
-    table.to_csv(tmp_path / "insertions.csv", index=False)
-    (fault,) = check(tmp_path)
-    assert "insertions.csv:3" in str(fault.where) and fault.what.isprintable()

@@ -74,30 +74,6 @@ def test_laws_that_are_tables_come_along(tabulated):
     assert [shape for shape, _ in law["tables"]] == [[[2, 5, 5, 5]], [[2, 0.9, 5, 5]], [[5, 0.9, 5, 5]]]
 
 
-@pytest.mark.sweep
-@NO_BROWSER
-def test_a_needle_in_the_address_is_shown_and_written_again(shared, chromium):  # noqa: F811
-    with open_offline(chromium, shared, address="depth=50&b=0.12&roll=180&turn=20,30&mu2=300") as page:
-
-        def go(address):
-            page.evaluate(f"location.hash = '{address}'")
-            page.wait_for_timeout(300)
-            return page.evaluate("needlefit.state")
-
-        state = page.evaluate("needlefit.state")
-        assert [state["depth_mm"], state["bevel"]] == [50, {"side": -1, "roll_deg": 180, "offset_mm": 0.12}]
-        assert state["layers"][1]["mu_pa"] == 3e5 and page.locator("#above").is_hidden()
-        known = go("depth=50&roll=120&turn=20:90,30:-60")
-        page.click("#copy-link")
-        page.wait_for_timeout(200)
-        written = page.evaluate("location.hash").removeprefix("#")
-        assert go("depth=20")["depth_mm"] == 20 and go(written)["z"] == known["z"]
-        assert page.locator("#above").is_visible()
-        # of others see `test_address`; the needle stays as it was
-        for wrong in ("depth=-5", "needle=nothing", "%E0%A4%A"):
-            assert go(wrong)["z"] == known["z"] and page.inner_text("#refusal"), wrong
-
-
 @NO_BROWSER
 def test_the_depth_is_dragged_along_the_page_of_a_plan(chromium, tmp_path, capsys):  # noqa: F811
     assert run("plan phantom2 --target 45,2 --obstacle 25,3,0.8 --turns 0 --json --out", tmp_path) == 0
