@@ -272,6 +272,8 @@ def test_a_point_list_that_names_the_other_needles_is_asked_about(tmp_path):
     write_markups(listed, "entries", np.vstack([one[:2] for one in NEEDLES]), "Fiducial")
     listed.write_text(re.sub(r'"label": "(\d)"', r'"label": "n\1"', listed.read_text()))
     assert "--set leave_out=entries" in refusal(DataError, "entries", prepare, [tmp_path]).fix
+    beside = refusal(DataError, "entries", prepare, [tmp_path], leave_out="n2")
+    assert "--set leave_out=entries,n2" in beside.fix
     plan, _ = planned([tmp_path], leave_out="entries")
     assert [row.id for row in plan.rows] == ["n0", "n1", "n2"]
 

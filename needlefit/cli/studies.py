@@ -194,11 +194,12 @@ def predict(
     With --medium and no TARGET: the spread of the tip before any data, the chance of a hit, and which
     parameter, or error of the entry pose, dominates.
     """
+    changes = set_ or []
+    keys = [key for key, value in map(split_pair, changes) if value]
     if medium is not None or target is None:
         if medium is None or target is not None or scene is None:
             raise typer.BadParameter("give a TARGET, or --medium with --scene", param_hint="TARGET")
-        keys = [key for key, value in map(split_pair, set_ or []) if value]
-        named_scene = scene_record(scene, depth, set_ or [])
+        named_scene = scene_record(scene, depth, changes)
         _predict_before_data(context, named_scene, keys, medium, aim, radius, pose_sd)
         return
     with begin(context) as execution:
@@ -219,16 +220,15 @@ def predict(
             like = describe_like_deepest(fitted, inputs, fitted_medium) if scene is None else None
         if like is not None:
             scene, table, source = like
-            scene_name, planned = change_scene(table, scene, depth, set_ or [])
+            scene_name, planned = change_scene(table, scene, depth, changes)
         else:
             assert scene is not None
-            scene_name, planned = scene_record(scene, depth, set_ or [])
+            scene_name, planned = scene_record(scene, depth, changes)
             source = find_file("scene", scene)
-        keys = [key for key, value in map(split_pair, set_ or []) if value]
         make_scene(planned, scene_name, fitted_medium, keys)
         require_file_name(Path(scene).stem, scene)
         about = f"{target_name.removesuffix('-tune')}-{Path(scene).stem}"
-        name = f"predict-{about}{name_changes(depth, set_ or [], specimen)}"
+        name = f"predict-{about}{name_changes(depth, changes, specimen)}"
         execution.prepare_result(name, [*fit.sources, name_source(source)])
         tuned = execution.folder(target_name) if run is None else file.parent
         judged = execution.folder(target_name.removesuffix("-tune"))

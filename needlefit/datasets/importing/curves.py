@@ -89,6 +89,11 @@ class ImportedCurve:
         return chord
 
     @property
+    def reading_depths(self) -> Floats:
+        """The depths of readings of a tip (N,), mm; empty where they are not stated."""
+        return self.line[:, 0] if self.is_deflection else self.depths
+
+    @property
     def length(self) -> float:
         """The length of the curve smoothed to its noise."""
         return self.points.curve.length

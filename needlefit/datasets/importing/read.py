@@ -299,7 +299,7 @@ def _join_observations(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
     shapes = {curve.name: curve for curve in curves if curve.holds == "shapes" and curve.is_named}
     kept = list[ImportedCurve]()
     for curve in curves:
-        shape, depths = shapes.get(curve.name), curve.line[:, 0] if curve.is_deflection else curve.depths
+        shape, depths = shapes.get(curve.name), curve.reading_depths
         if shape is not None and shape is not curve and len(depths):
             at_end = np.abs(shape.depth - depths) <= find_length_tolerance(float(depths[-1]))
             if at_end[-1] or (curve.holds == "tips" and at_end.any()):

@@ -1,6 +1,5 @@
 """Write an import as a dataset; its faults are those of the imported files."""
 
-from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -103,19 +102,21 @@ def write_mapping(file: Path, mapping: MappingRecord) -> None:
 def _trace_fault(fault: Fault, curves: Sequence[ImportedCurve], folder: Path) -> Fault:
     """Return a fault of the dataset in `folder` as one of the imported files: where a row comes from."""
     name, _, line = Path(fault.where).as_posix().removeprefix(f"{folder.as_posix()}/").rpartition(":")
-    places = defaultdict[str, list[tuple[str, str, str]]](list)  # of each row: place, subject, needle
+    rows = list[tuple[str, str, str]]()  # place, subject, needle
     for curve in curves:
-        in_tracker_frame, start = curve.holds == "tracks", f"curve {curve.name}"
-        table = TRACKS_FILE if in_tracker_frame else f"centerlines/{curve.name}.csv"
-        places[table] += [(curve.points.where(n), f"{start} ", curve.name) for n in range(len(curve.line))]
-        if not in_tracker_frame:
-            places["insertions.csv"].append((curve.points.where(), f"{start}: ", curve.name))
-        places[TURNS_FILE] += [(cell.where, "", curve.name) for _, cell in curve.turns]
-        sensors = [f"curvature {n} of needle {curve.name}" for n, _ in enumerate(curve.sensors, 1)]
-        places[CURVATURE_FILE] += [(sensor, "", curve.name) for sensor in sensors]
-    if name not in places or not line.isdecimal():
+        is_track, start, points = curve.holds == "tracks", f"curve {curve.name}", curve.points
+        if name == (TRACKS_FILE if is_track else f"centerlines/{curve.name}.csv"):
+            rows += [(points.where(n), f"{start} ", curve.name) for n in range(len(curve.line))]
+        elif name == "insertions.csv" and not is_track:
+            rows.append((points.where(), f"{start}: ", curve.name))
+        elif name == TURNS_FILE:
+            rows += [(cell.where, "", curve.name) for _, cell in curve.turns]
+        elif name == CURVATURE_FILE:
+            sensors = range(1, len(curve.sensors) + 1)
+            rows += [(f"curvature {n} of needle {curve.name}", "", curve.name) for n in sensors]
+    if not (rows and line.isdecimal()):
         return fault.at(fault.where.replace(f"{folder}/", ""))
-    where, subject, needle = places[name][int(line) - 2]  # below one header line
+    where, subject, needle = rows[int(line) - 2]  # below one header line
     fix = f"{fault.fix.removesuffix(', or leave it out')}; or leave it out: {name_set('leave_out', needle)}"
     return fault.replace(what=f"{subject}{fault.what.removeprefix(subject)}", where=where, fix=fix)
 

@@ -27,7 +27,7 @@ class TipPlacer(Placer):
         if not all(curve.is_deflection for curve in self.curves):
             place_tips(self)
         for curve in self.curves:
-            curve.depths = curve.line[:, 0]
+            curve.depths = curve.reading_depths
 
     def fill_tips(self) -> None:
         """Fill in what was measured, toward bevels and across."""

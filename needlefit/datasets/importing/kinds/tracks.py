@@ -47,7 +47,7 @@ class TrackPlacer(Placer):
         settle_guide(self)
         curves = self.curves
         for curve in curves:
-            curve.depths = curve.line[:, 0] if curve.is_deflection else curve.depths
+            curve.depths = curve.reading_depths
         settle_depth_zero(self)
         if self.is_stated("entry_point") and any(len(curve.depths) for curve in curves):
             self.note("entry_point", "not used of runs whose depths are stated")
