@@ -5,14 +5,14 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pydantic_core import to_jsonable_python
-
 
 def to_json_values(value: object) -> Any:  # noqa: ANN401 - of any type
     """Return mappings, lists, text, numbers and None; numpy's become Python's, NaN and infinity None.
 
     What is none of these becomes its text.
     """
+    from pydantic_core import to_jsonable_python  # late: it takes a tenth of the time of --help
+
     return to_jsonable_python(value, inf_nan_mode="null", fallback=_to_plain)
 
 
