@@ -55,9 +55,7 @@ def list_loaded(*words, **options):
 @pytest.mark.parametrize(
     ("words", "libraries"),
     [
-        (("--version",), {"typer"}),
         (("--help",), {"typer"}),
-        (("simulate", "phantom1"), {"numpy", "pydantic", "rich", "typer"}),
         (("simulate", "phantom1", "--json"), {"numpy", "pydantic", "typer"}),
     ],
 )

@@ -12,7 +12,6 @@ from test_viewer_recording import recorded
 from world import build_project
 
 from needlefit.mechanics import scene
-from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.folders import replace_folder, require_output_files, write_manifest
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.reporting.table_files import write_json
@@ -50,15 +49,6 @@ def plant(folder):
     return {str(folder / EMPTY): b""} | {str(folder / name): (folder / name).read_bytes() for name in FOREIGN}
 
 
-class Stub:
-    """Stands for the fitting."""
-
-    @staticmethod
-    def run(name, record, settings):
-        open_checkpoint(settings.checkpoint, settings.resume, {"n": 1}).keep_row("a", {"b": 1})
-        return dataclasses.replace(study(1), name=name, record=record)
-
-
 @pytest.fixture
 def project(tmp_path, monkeypatch):
     folder = tmp_path / "project"
@@ -73,7 +63,11 @@ def project(tmp_path, monkeypatch):
 
 @pytest.fixture
 def stubs(monkeypatch):
-    monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", Stub.run)
+    """Another run stands for the fitting."""
+    monkeypatch.setattr(
+        "needlefit.studies.kinds.cross_validation.run.run",
+        lambda name, record, settings: dataclasses.replace(study(1), name=name, record=record),
+    )
     print_nothing(monkeypatch)  # seconds, and other tests' business
 
 

@@ -134,12 +134,7 @@ def test_a_needle_outside_the_model_is_named(capsys):
     assert inside["valid"] and inside["validity"]["ok"] and inside["validity"]["faults"] == []
     assert 0.01 < inside["max_slope"] < 0.3 and warned(inside, "validity") == []
     steep = "phantom1 --set bevel.offset_mm=1"
-    found = answer(capsys, steep)
-    assert found["converged"] and not found["valid"] and not found["validity"]["ok"]
-    assert found["max_slope"] > 0.3 and len(found["validity"]["faults"]) >= 1
-    assert warned(found, "validity")
-    assert run(f"simulate {steep} --strict") == 5
-    capsys.readouterr()
+    assert warned(answer(capsys, f"{steep} --strict", code=5), "validity")
     found = answer(capsys, "figure1 --set steps.1.offset_mm=3")
     assert not found["valid"] and not found["steps"][0]["valid"]
     assert found["max_slope"] == found["validity"]["max_slope"] > 0.3

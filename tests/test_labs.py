@@ -69,7 +69,7 @@ def find_truth(lab):
         assert low < TRUTH[name] < high, (name, low, high)
 
 
-OFTEN = ("shapes", "tracker", "one", "ct and camera")  #: of every session; the others are swept
+OFTEN = ("tracker", "ct and camera")  #: of every session; the others are swept
 
 
 @pytest.mark.parametrize(
@@ -94,12 +94,6 @@ def test_a_lab_ends_in_an_answer(lab, quick, capsys):
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("lab", LABS.values(), ids=LABS)
-def test_a_second_set_of_a_lab_finds_its_truth(lab, quick, capsys):
-    assert run(next(line for line in import_lab(lab, 3, capsys) if line.startswith("tune"))) == 0
-    find_truth(lab)
-
-
 def test_a_fit_of_free_shapes_knows_what_their_direction_would_determine(quick, capsys):
     """The factors that it states are those of a fit to the same shapes with their direction."""
     lab, factors = LABS["shapes"], {}

@@ -220,7 +220,7 @@ def test_scans_reconstructed_on_workers_are_those_of_this_machine(address, tmp_p
 
 
 def test_a_cohort_fitted_on_workers_is_that_of_this_machine(address, world, tmp_path):
-    """Of three datasets one is broken; a run that is repeated keeps its rows."""
+    """Of three datasets one is broken."""
     for name in ("a", "b"):
         shutil.copytree(world.folder / "data/needles", tmp_path / name)
     (tmp_path / "broken").mkdir()
@@ -228,7 +228,7 @@ def test_a_cohort_fitted_on_workers_is_that_of_this_machine(address, world, tmp_
     words = [sys.executable, str(shipped_folder() / "studies/cohort.py"), "configs/media/gel.toml"]
     words += [*map(str, sorted(tmp_path.glob("*"))), "--recipe", "configs/recipes/tiny.toml", "--out"]
     found = {}
-    for name, where in (("here", "--jobs=1"), ("there", f"--scheduler={address}"), ("there", "--jobs=1")):
+    for name, where in (("here", "--jobs=1"), ("there", f"--scheduler={address}")):
         out = tmp_path / f"{name}.png"
         done = subprocess.run(
             [*words, str(out), where], cwd=world.folder, capture_output=True, text=True, check=False

@@ -17,7 +17,7 @@ class Outline(HTMLParser):
 
     def __init__(self, page):
         super().__init__()
-        self.open, self.tags, self.words = [], [], []
+        self.open, self.tags = [], []
         self.feed(page.decode())
         self.close()
         assert self.open == []
@@ -29,9 +29,6 @@ class Outline(HTMLParser):
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.words.append(data)
 
     def all(self, tag):
         return [attributes for name, attributes in self.tags if name == tag]

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from pytest import approx
-from synthetic.build import build_dataset
-from synthetic.design import select_designs
 from track_cases import DEPTH, GUIDE, MEDIUM, TRUTH, track
 from track_cases import dataset as tracks
 from track_cases import problem as track_problem
@@ -27,10 +25,8 @@ from needlefit import (
     simulate_steps,
 )
 from needlefit.datasets.insertion import Dataset, Noise
-from needlefit.datasets.read import read
 from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.parameters import Parameters
-from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies.simulated_data import simulate_measurement
 
@@ -104,21 +100,6 @@ def test_readings_of_tips_err_as_the_likelihood_of_their_session_states():
     rows = sum(known.rows for known in asked.density.observations)
     assert rows == 2 * (2 * len(DEPTH) - 2)  # tips and headings but the first, less a shift of each run
     assert np.mean(squares) == approx(rows, abs=4 * np.sqrt(2 * rows / 200))
-
-
-def test_a_twin_that_is_not_scanned_is_nearly_the_one_that_was(tmp_path):
-    """Same truth, same places of the markers: what differs is what voxels add."""
-    names = ("phantom2-03", "phantom3-05", "chicken-02")
-    found = {one.id: one for one in read(build_dataset(tmp_path, 1, select_designs(names))).insertions}
-    scanned = {one.id: one for one in read(find_file("dataset", "twin")).insertions}
-    for name in names:
-        one, other = found[name], scanned[name]
-        assert one.sequence == other.sequence and one.side == other.side
-        assert one.depth == approx(other.depth, abs=0.2)
-        assert one.deflection == approx(other.deflection, abs=0.3)
-        assert_allclose(one.boundaries, other.boundaries, atol=0.05)
-        assert one.pose_shift_sd == approx(other.pose_shift_sd, rel=0.01)
-    assert "Nothing was scanned" in read(tmp_path).notes[0]
 
 
 MOVED = replace(insertion(40.0), base_moved=8.0)

@@ -71,19 +71,6 @@ def theta(job, **changes):
     return job.parameters.theta({**values, "bevel_spread": 1e-9, **changes})
 
 
-def test_one_draw_is_the_scene_with_its_parameters(job):
-    found = planned(sure(job), [theta(job)] * 3)
-    tissue = replace(SCENE.tissue, mu=np.array([0.2, 30.0, 0.2, 30.0]), alpha=np.array([1.0, -1, 1, -1]))
-    (step,) = SCENE.steps
-    step = replace(step, bevel=replace(step.bevel, offset=0.08))
-    shape = needlefit.simulate_steps(SCENE.needle, tissue, (step,), SCENE.rules)
-    expected = compute_positions(shape, found.s)
-    assert found.across[0, :, 0] == approx(expected[:, 1], abs=1e-6)
-    assert found.needle == approx(expected, abs=1e-6)
-    table = tabulate_forecast(found)
-    assert table["needle_95_low_mm"].iloc[-1] == approx(expected[-1, 1], abs=1e-6)
-
-
 def test_a_turned_needle_is_predicted_in_space_and_its_roll_errs_as_the_dataset_states(job):
     (step,) = SCENE.steps
     turned = replace(step, bevel=replace(step.bevel, offset=0.08, roll_deg=90.0))
@@ -97,6 +84,8 @@ def test_a_turned_needle_is_predicted_in_space_and_its_roll_errs_as_the_dataset_
     shape = needlefit.simulate_steps(SCENE.needle, tissue, scene.steps, SCENE.rules)
     expected = compute_positions(shape, found.s)
     assert_allclose(found.across[0], expected[:, 1:], atol=1e-6)
+    assert found.needle == approx(expected, abs=1e-6)
+    assert tabulate_forecast(found)["needle_95_low_mm"].iloc[-1] == approx(expected[-1, 1], abs=1e-6)
     assert abs(expected[-1, 2]) > 0.5
     tips = planned(known, [theta(job)] * 400, scene).across[:, -1]
     assert np.linalg.norm(tips, axis=1) == approx(np.linalg.norm(expected[-1, 1:]), abs=1e-6)
