@@ -90,9 +90,9 @@ def painted(*bodies, hu=METAL_HU):
     return replace(scan(), values=values)
 
 
-def spans(part, volume):
+def spans(part):
     """Where a component begins and ends along S, mm."""
-    return np.sort(segmentation.find_ends(volume, part)[:, 2])
+    return np.sort(segmentation.find_ends(part)[:, 2])
 
 
 @pytest.mark.sweep
@@ -100,7 +100,7 @@ def spans(part, volume):
 def test_a_hub_on_the_shaft_is_cut_off(radius):
     volume = painted(rod((11.0, 11.0), 0.0, 5.0, radius))
     part = segmentation.select_needle(volume, cases.RECIPE).needle
-    low, high = spans(part, volume)
+    low, high = spans(part)
     assert 5.0 < low < 9.0
     assert_allclose(high, spans(segmentation.select_needle(scan(), cases.RECIPE).needle, scan())[1], atol=0.5)
     line = trace_needle(volume, part, cases.RECIPE)
@@ -110,11 +110,11 @@ def test_a_hub_on_the_shaft_is_cut_off(radius):
 def test_a_shorter_tube_is_named_and_of_two_long_ones_the_stated_diameter_taken():
     volume = painted(rod((16.0, 8.0), 6.0, 28.0, 0.7))
     found = segmentation.select_needle(volume, cases.RECIPE)
-    assert spans(found.needle, volume)[1] > 38
+    assert spans(found.needle)[1] > 38
     assert len(found.others) == len(found.warnings) == 1
-    assert_allclose(spans(found.others[0], volume), [6.0, 28.0], atol=1.0)
+    assert_allclose(spans(found.others[0]), [6.0, 28.0], atol=1.0)
     picked = segmentation.select_needle(volume, cases.RECIPE, np.array([17.0, 8.0, 20.0]))
-    assert_allclose(spans(picked.needle, volume), [6.0, 28.0], atol=1.0)
+    assert_allclose(spans(picked.needle), [6.0, 28.0], atol=1.0)
     refused = refusal(
         DataError, "", lambda: segmentation.select_needle(volume, cases.RECIPE, np.array([2.0, 20.0, 20.0]))
     )

@@ -175,11 +175,9 @@ def _medium_record(
                 where=f"medium {name}",
             )
     shared = all(
-        all(
-            np.array_equal(a.vertices, b.vertices) and np.array_equal(a.faces, b.faces)
-            for a, b in zip(one.layers.surfaces, first, strict=True)
-        )
+        np.array_equal(a.vertices, b.vertices) and np.array_equal(a.faces, b.faces)
         for one in group
+        for a, b in zip(one.layers.surfaces, first, strict=True)
     )
     stems = [f"{{id}}_{n}" for n in range(1, len(first) + 1)]  # what a segment is called may differ
     if shared:

@@ -13,16 +13,14 @@ import numpy as np
 
 from needlefit.datasets.formats.markups import Markups
 from needlefit.errors import NeedlefitError
-from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.geometry.curves import interpolate_at_arc
 from needlefit.imaging.constants import PART
 from needlefit.imaging.corrections import make_control_points
-from needlefit.imaging.entry import choose_entry
 from needlefit.imaging.needle.follow import follow_tube
 from needlefit.imaging.needle.segmentation import list_needles
 from needlefit.imaging.reconstruct import STAGES, VolumeSearch, examine, picture_curve
 from needlefit.imaging.reconstruction import CurvePicture, Reconstruction, render_views
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.volume import to_patient
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
@@ -67,9 +65,9 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
         return (scan,)
     with suppress(NeedlefitError):  # its reconstruction says why
         size = search.recipe.needle.diameter_mm
-        parts = list_needles(search.volume, search.tubes, size, PART.DIVIDED_NEEDLE)
-        points = [to_patient(search.volume, part.voxels) for part in parts]
-        middles = [some[np.argmin(np.linalg.norm(some - some.mean(axis=0), axis=1))] for some in points]
+        parts = list_needles(search.tubes, size, PART.DIVIDED_NEEDLE)
+        away = [np.linalg.norm(part.points - part.points.mean(axis=0), axis=1) for part in parts]
+        middles = [part.points[np.argmin(off)] for part, off in zip(parts, away, strict=True)]
         if len(middles) > 1:
             ones = enumerate(sorted(middles, key=lambda middle: float(middle[0])), start=1)
             return tuple(
@@ -146,11 +144,9 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan, report: Callable[[str]
         axis = found.selection.axis or follow_tube(search.volume, found.selection.needle, search.recipe)
         needle = axis.spline(np.arange(0.0, axis.length, 1.0))
     balls = np.empty((0, 3)) if found.markers is None else found.markers.centers
-    entries, profile = np.empty((0, 3)), found.profile
-    if needle is not None and profile is not None:
-        thickness, length = search.recipe.guide.thickness_mm, float(arc_length(needle)[-1])
-        if offered := choose_entry(profile, length, thickness, scan.guide_distance):
-            entries = interpolate_at_arc(needle, [one.at for one in offered.answers or (offered,)])
+    entries, entry = np.empty((0, 3)), found.entry
+    if needle is not None and entry is not None:
+        entries = interpolate_at_arc(needle, [answer.at for answer in entry.answers or (entry,)])
     points = make_control_points(scan.id, needle, entries[0] if len(entries) else None, balls)
     picture = None if needle is None else picture_curve(search.volume, needle, entries)
     return ReconstructionFailure(scan, failed, points, search.volume.warnings, picture, found.asked)

@@ -47,7 +47,6 @@ class HU:
     STEP = 20.0  # least change inside soft material, and of air in a narrow gap from its level [R]
     METAL = 1000.0  # bone of a hand is darker, metal and glass are brighter
     METAL_CONTRAST = 500.0  # by which metal stands out from tissue, and tissue from air, at least
-    HUB = 1500.0  # of a metal hub, least [S]
     CLIPPED = 3071.0  # the largest number of 12 bits; streaks beyond a tip are less bright or dark
 
 
@@ -93,7 +92,6 @@ class MM:
     HIDDEN = 15.0  # of a needle that rays hide: at its end, behind a hub, or between two pieces [R]
     SWING_SD = 0.1  # by which a needle leaves its shaft's course within its bevel
     LEAST_SLICE_BLUR = 0.2  # of scanners, across slices
-    STREAK_RADIUS = 0.8  # deviation of a streak across [R]
     TIP_DOUBT = 0.3  # deviation of the tip along, or along the slices' normal, that is spoken of
     DEPTH_SD = 2.0  # of the inserted length, beyond which a scan is refused
 
@@ -121,7 +119,7 @@ class PART:
     FLATNESS = 1.15  # voxels' length over width of a scanner's slices; those of cone beams are cubes
     HUB_RADIUS = 1.8  # least, over the needle's diameter
     BOX = 0.8  # of the variance of a slice's profile: the rest is a Gaussian's
-    SIGNAL_ERROR = 0.04  # of what a voxel shows of metal: the model's own error [R]
+    SIGNAL_ERROR = 0.04  # of what a voxel shows of metal, or a ball: the model's own error [R]
     # Of the voxels' spacing along the needle, at its tip: of ten volumes of [G] errors are 0.92 of what this
     # states, in root mean square
     TIP_SD = 0.11
@@ -134,7 +132,9 @@ class PART:
     BALL_ELONGATION = 2.0  # longest over shortest extent of what may be a ball
     NEGLIGIBLE = 0.02  # of a scan's voxels that are air, of a layer's volume in islands and cavities
     PAIRED = 0.6  # of the smaller set of markers: few among many are part of something else
-    TOLERANCE = 1e-3  # of a fit's cost and parameters, at which it ends: an end moves by less than 0.01 mm
+    # Of a fit's cost and parameters, at which it ends, as an end then moves by less than 0.01 mm; the step of
+    # derivatives
+    TOLERANCE = 1e-3
 
 
 class SD:

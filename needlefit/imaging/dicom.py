@@ -11,7 +11,6 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +38,6 @@ from needlefit.project.reader_process import Arrays, allow_memory
 # A slice may stand this far from its place on an even stack, mm: positions are written to 0.1 mm or better.
 MAX_OFFSET_MM = 0.1
 MAX_LEAN = 1e-3  # of the stack, as a sine: axes are written to three decimals or better
-MAX_STEP_RATIO = 1.5  # a step longer than this many usual ones lacks slices
 # Modalities whose values are attenuations; converters leave the entry out, or write OT (other).
 XRAY_MODALITIES = ("", "CT", "XA", "RF", "DX", "PX", "IO", "OT")
 # What RescaleType says of values in HU; US is "unspecified", as cone-beam scanners write.
@@ -104,7 +102,7 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
         notes.append(UNSPECIFIED_UNIT)
     allow_memory(grid.size[0] * grid.size[1] * SLICE_BYTES_PER_PIXEL + 4 * math.prod(grid.size))
     values = arrays["values"] = np.empty(grid.size[::-1], np.float32)
-    arrays["grid"] = grid.to_array()
+    arrays |= grid.placing
     for item, plane in zip(slices, values, strict=True):
         plane[...] = _read_plane(item)
     least = np.fmin.reduce(values, axis=None)
@@ -348,25 +346,26 @@ def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats)
     their order along the `normal`.
     """
     steps = np.diff(positions @ normal)
+    doubled = np.flatnonzero(steps < SPACINGS_MM[0])
+    for n in doubled.tolist():
+        raise DataError(
+            f"stands at the same place as {ordered[n].file.name}, with other voxels, as {len(doubled)} of "
+            f"{len(ordered)} slices do: the series holds several scans",
+            expected="one slice at each place",
+            fix="export one scan (phase, time, kernel), or move the slices of each to its own folder",
+            where=ordered[n + 1].file,
+        )
     usual = float(np.median(steps))
-    doubled = int((steps < SPACINGS_MM[0]).sum())
-    for (before, after), step in zip(pairwise(ordered), steps, strict=True):
-        if step < SPACINGS_MM[0]:
-            raise DataError(
-                f"stands at the same place as {before.file.name}, with other voxels, as {doubled} of "
-                f"{len(ordered)} slices do: the series holds several scans",
-                expected="one slice at each place",
-                fix="export one scan (phase, time, kernel), or move the slices of each to its own folder",
-                where=after.file,
-            )
-        if usual >= SPACINGS_MM[0] and step > MAX_STEP_RATIO * usual:
-            raise DataError(
-                f"{round(step / usual) - 1 or 1} slice(s) missing between {before.file.name} and "
-                f"{after.file.name}: a step of {step:.4g} mm where others are {usual:.4g} mm",
-                expected="a stack without gaps",
-                fix="copy the missing files; a series with two spacings must be resampled to one",
-                where=before.file.parent,
-            )
+    missing = np.rint(steps / usual).astype(int) - 1
+    for n in np.flatnonzero(missing > 0).tolist():
+        before, after = ordered[n].file, ordered[n + 1].file
+        raise DataError(
+            f"{missing[n]} slice(s) missing between {before.name} and {after.name}: a step of "
+            f"{steps[n]:.4g} mm where others are {usual:.4g} mm",
+            expected="a stack without gaps",
+            fix="copy the missing files; a series with two spacings must be resampled to one",
+            where=before.parent,
+        )
     count = np.arange(len(ordered))
     step, origin = np.polyfit(count, positions, 1)
     away = np.linalg.norm(origin + np.outer(count, step) - positions, axis=1)

@@ -6,7 +6,6 @@ SimpleITK would make up where a NIfTI file stands that does not say it, and refu
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +63,7 @@ def read_image(arrays: Arrays, path: str, stored: int, labels: bool = False) -> 
                 fix="the file is cut short or damaged: copy it or export it again",
             ) from error
         fill_unknown(values, notes, labels=labels)
-        arrays["grid"] = replace(grid, direction=orthogonalize(grid.direction)).to_array()
+        arrays |= grid.placing | {"direction": orthogonalize(grid.direction)}
         return {"texts": texts, "warnings": notes}
 
 

@@ -151,18 +151,20 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
     `patient`: the scan's LPS axes and origin in the world.
     `grid`: where the scan's voxels stand: surfaces of its own must not lie elsewhere.
 
-    DataError: listing every fault of every file.
+    DataError: listing every fault of every file. A layer without a surface is a fault of the dataset.
     """
-    faults, surfaces, numbers = list[Fault](), list[Surface](), list[int]()
-
-    def note(problem: str, expected: str, fix: str, where: Path = scan.volume) -> None:
-        faults.append(DataError(problem, expected=expected, fix=fix, where=where))
-
+    faults, surfaces = list[Fault](), list[Surface]()
     segmented = next((source for source in scan.surfaces if source.is_segmentation), None)
     if segmented is not None and len(scan.surfaces) > 1:
         names = ", ".join(source.path.name for source in scan.surfaces)
-        problem = f"lists a segmentation beside other surfaces: {names}"
-        note(problem, "meshes, or one segmentation", "list it alone", segmented.path)
+        faults.append(
+            DataError(
+                f"lists a segmentation beside other surfaces: {names}",
+                expected="meshes, or one segmentation",
+                fix="list it alone",
+                where=segmented.path,
+            )
+        )
     elif segmented is not None:
         try:
             with explain_missing_packages():
@@ -172,23 +174,18 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
     else:
         place = 2
         for source in scan.surfaces:
-            numbers.append(place if source.into is None else source.into)
-            place += source.into != 1  # the tissue's own takes no place
-            if (mesh := read_mesh(source, numbers[-1], faults)) is not None:
+            if (mesh := read_mesh(source, source.into or place, faults)) is not None:
                 surfaces.append(mesh)
-    if missing := set(range(2, max(numbers, default=1))) - set(numbers):
-        note(
-            f"no surface leads into layer {min(missing)}; they lead into "
-            + ", ".join(map(str, sorted(numbers))),
-            "layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
-            "correct the number, e.g. file=sheet:2, or add the surface that is missing",
-        )
+            place += source.into != 1  # the tissue's own takes no place
     for n, surface in enumerate(surfaces):
         if any(np.array_equal(surface.vertices, other.vertices) for other in surfaces[:n]):
-            note(
-                f"lists the surface {surface.name} twice: one layer would be left out",
-                "a surface of its own for each layer",
-                "name the file of the other layer",
+            faults.append(
+                DataError(
+                    f"lists the surface {surface.name} twice: one layer would be left out",
+                    expected="a surface of its own for each layer",
+                    fix="name the file of the other layer",
+                    where=scan.volume,
+                )
             )
     within = layers_in_scan(scan)
     world = tuple(transform_surface(surface, patient) if within else surface for surface in surfaces)
@@ -198,11 +195,14 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
             if (steps.max(axis=0) < -0.5).any() or (steps.min(axis=0) > np.array(grid.size) - 0.5).any():
                 # a mesh is called as its file, all others are of the first
                 paths = (source.path for source in scan.surfaces if source.path.stem == surface.name)
-                note(
-                    f"the surface {surface.name} lies outside the scan {scan.volume}",
-                    "surfaces and scan in one place",
-                    "see whether it belongs to this scan, stands in its frame or the world's, in LPS or RAS",
-                    next(paths, scan.surfaces[0].path),
+                faults.append(
+                    DataError(
+                        f"the surface {surface.name} lies outside the scan {scan.volume}",
+                        expected="surfaces and scan in one place",
+                        fix="see whether it belongs to this scan, stands in its frame or the world's, in "
+                        "LPS or RAS",
+                        where=next(paths, scan.surfaces[0].path),
+                    )
                 )
     if faults:
         raise as_error(faults, scan.volume)

@@ -21,7 +21,7 @@ from needlefit.imaging.point_spread import average_spreads
 from needlefit.imaging.reconstruction import MarkerResult
 from needlefit.imaging.registration import check_axis_signs
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
-from needlefit.imaging.volume import Volume, find_outside, to_index, to_patient
+from needlefit.imaging.volume import Volume, measure_face_distance, require_inside, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 MAX_BRIGHT_VOXELS = 4_000_000  # largest number of voxels above a level; with more the level separates nothing
@@ -174,17 +174,7 @@ def refine_fiducials(
     rules = recipe.markers
     if len(balls.centers):
         check_axis_signs(given, balls.centers, rules.fiducial_sd_mm)
-    outside = find_outside(volume, given)
-    if len(outside):
-        at = ", ".join(f"{x:.1f}" for x in given[outside[0]])
-        raise DataError(
-            f"{len(outside)} of {len(given)} fiducials lie outside the volume, one at L, P, S = {at} mm",
-            expected="places in the scan, LPS, mm",
-            fix=(
-                "take the fiducials of this scan; check that the file states its coordinate "
-                "system (RAS or LPS)"
-            ),
-        )
+    require_inside(volume, given, "fiducials")
     centers, sd = given.copy(), np.full(len(given), rules.fiducial_sd_mm)
     reach = rules.diameter_mm / 2 + SD.OUTLIER * rules.fiducial_sd_mm
     apart = cdist(given, balls.centers)
@@ -198,8 +188,7 @@ def refine_fiducials(
 
 def _find_fault(volume: Volume, ball: SphereFit, middle: Floats, max_misfit: float) -> str:
     """Return why a fit, begun at `middle`, shows no ball, or not the whole of it; empty if it does."""
-    index, last = to_index(volume, ball.center[None])[0], np.array(volume.values.shape[::-1]) - 1
-    if float((np.minimum(index, last - index) * volume.spacing).min()) < ball.radius:
+    if measure_face_distance(volume, ball.center[None]) < ball.radius:
         return "cut by the volume's face"
     # a blur at its upper bound means that the fit did not find a ball
     moved = np.linalg.norm(ball.center - middle) >= ball.radius

@@ -9,7 +9,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import binary_dilation, binary_opening
 from scipy.optimize import curve_fit
+from scipy.signal import find_peaks
 from scipy.special import ndtr
 
 from needlefit.arrays import Floats, Ints
@@ -67,12 +69,10 @@ def find_runs(profile: IntensityProfile, least: float = MM.BLUR_REACH) -> tuple[
         return ()
     step = float(np.median(np.diff(s)))
     kinds = np.where(values > HU.METAL, 2, np.where(values < HU.GAP, 0, 1))
-    light = (values > HU.LIGHT) & (kinds == 0)
-    for part in np.split(np.arange(len(s)), np.flatnonzero(np.diff(light)) + 1):
-        if light[part[0]] and s[part[-1]] - s[part[0]] >= MM.PIECE:
-            kinds[part] = 1
-    for at in s[kinds == 2]:
-        kinds[(np.abs(s - at) <= MM.BLUR_REACH) & (kinds == 1)] = 2
+    foam = np.ones(1 + round(MM.PIECE / step), bool)
+    kinds[binary_opening((values > HU.LIGHT) & (kinds == 0), foam)] = 1
+    bloom = np.ones(1 + 2 * round(MM.BLUR_REACH / step), bool)
+    kinds[binary_dilation(kinds == 2, bloom) & (kinds == 1)] = 2
     kinds = _absorb_short_runs(kinds, step, least)
     ends = np.flatnonzero(np.diff(kinds)) + 1
     names: tuple[MaterialKind, ...] = ("air", "soft", "metal")
@@ -197,14 +197,11 @@ def _find_steps_within(s: Floats, values: Floats) -> list[float]:
     """Return the steps of soft material at stations `s` (n,), the most significant of neighbours."""
     places = np.arange(s[MIN_STEP_STATIONS - 1], s[-MIN_STEP_STATIONS], np.median(np.diff(s)) / 2)
     changes, sds, alike = np.array([_fit_step(s, values, place) for place in places]).reshape(-1, 3).T
-    clear, found = np.abs(changes) / np.maximum(sds, 1e-9), list[float]()
+    clear = np.abs(changes) / np.maximum(sds, 1e-9)
     sure = clear / np.sqrt(alike)  # the scatter of a sum of correlated stations, where it is clearest
-    left = (np.abs(changes) >= HU.STEP) & (sure >= MIN_STEP_SD)
-    while left.any():
-        best = int(np.argmax(np.where(left, clear, 0.0)))
-        left &= np.abs(places - places[best]) > MM.EDGE_BLUR
-        found.append(float(places[best]))
-    return sorted(found)
+    shown = np.where((np.abs(changes) >= HU.STEP) & (sure >= MIN_STEP_SD), clear, 0.0)
+    apart = 2 * MM.EDGE_BLUR / np.median(np.diff(s))
+    return places[find_peaks([0.0, *shown, 0.0], distance=1 + apart)[0] - 1].tolist()
 
 
 def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float, float]:

@@ -28,6 +28,11 @@ LOWEST[::2], HIGHEST[::2] = np.log([LOWEST[::2], HIGHEST[::2]])
 Reals = NDArray[np.floating[Any]]  # of single precision where the frequencies are
 
 
+def robust_sd(errors: Floats) -> float:
+    """Return the deviation of a Gaussian whose absolute values have the median of those of `errors` (N,)."""
+    return 1.48 * float(np.median(np.abs(errors)))
+
+
 @dataclass(frozen=True)
 class PointSpread:
     """A scanner's point spread: deviations `blur` and `slice_blur` (mm) in and across slices, and `boost`."""

@@ -77,8 +77,8 @@ from needlefit.imaging.volume import (
     Volume,
     VoxelGrid,
     doubt_air,
-    find_outside,
     require_hounsfield,
+    require_inside,
     turn_slices,
 )
 from needlefit.project.processes import one_thread
@@ -297,7 +297,8 @@ class Examination:
     markers: MarkerResult | None = None
     registration: Registration | None = None
     profile: IntensityProfile | None = None  # along the whole needle, s from its first point
-    guide: tuple[float, float] | None = None  # where a guide before the tissue begins and ends, likewise
+    entry: EntryCandidate | None = None  # where along it the scan shows that the tissue begins
+    guide: tuple[float, float] | None = None  # where the guide before the tissue begins and ends, likewise
     asked: int = 0  # how many answers a person may choose from
     confirmed: str = ""  # what was in doubt, and which answer a person gave
     reconstruction: Reconstruction | None = None
@@ -381,7 +382,8 @@ def estimate_first_contact(
     """Return the entry pose, and the pose of the shaft outside the tissue where it is visible."""
     scan, world, rules, stage = found.scan, found.world, recipe.entry, None
     if scan.stage is None:
-        at, along_sd = _locate_tissue(found, surfaces, recipe)
+        entry = _locate_tissue(found, surfaces, recipe)
+        at, along_sd, found.guide = entry.at, entry.sd, entry.guide
     else:
         (here,) = found.patient.to_local(scan.stage.entry[None])
         stage = pose_from_stage(scan.stage, found.registration, here)
@@ -408,8 +410,8 @@ def estimate_first_contact(
 
 def _locate_tissue(
     found: Examination, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
-) -> tuple[float, float]:
-    """Return where along the whole needle the tissue begins, and how sure that is, mm.
+) -> EntryCandidate:
+    """Return where along the whole needle the tissue begins.
 
     A first contact placed by hand says it, else the tissue's own surface where there is one, else the
     change of brightness around the needle.
@@ -431,14 +433,12 @@ def _locate_tissue(
                 fix="place it on the needle; RAS has x and y of the other sign",
                 where="entry of the corrections",
             )
-        return float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm
+        return EntryCandidate(float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm)
     hits = [find_surface_hits(found.world, surface) for surface in surfaces if surface.into == 1]
     own = np.concatenate([np.empty(0), *hits])
     if len(own):
-        return float(own.min()), recipe.layers.surface_sd_mm
-    length = float(arc_length(found.world)[-1])
-    entry = choose_entry(found.brightness, length, recipe.guide.thickness_mm, found.scan.guide_distance)
-    if entry is None:
+        return EntryCandidate(float(own.min()), recipe.layers.surface_sd_mm)
+    if found.entry is None:
         raise DataError(
             "the scan does not show where the needle enters the tissue",
             expected=(
@@ -450,9 +450,7 @@ def _locate_tissue(
                 "surface to the layers, as FILE=sheet:1 or FILE=solid:1"
             ),
         )
-    entry = found.answer(entry)
-    found.guide = entry.guide
-    return entry.at, entry.sd
+    return found.answer(found.entry)
 
 
 def derive_reconstruction(
@@ -557,16 +555,9 @@ def examine(
     """
     search, moved = search or VolumeSearch(volume, recipe), scan.corrections or Corrections()
     volume, found = search.volume, Examination(scan, report=report)
-    for name, places in vars(moved).items():
-        with found.step():
-            if places is not None and len(outside := find_outside(volume, np.atleast_2d(places))):
-                at = ", ".join(f"{x:.1f}" for x in np.atleast_2d(places)[outside[0]])
-                raise DataError(
-                    f"a control point was moved out of the volume, to L, P, S = {at} mm",
-                    expected="places in the scan",
-                    fix="take the list of this scan, and move the point back in 3D Slicer",
-                    where=f"corrections, {name}",
-                )
+    control_points = [np.atleast_2d(places) for places in vars(moved).values() if places is not None]
+    with found.step():
+        require_inside(volume, np.vstack([np.empty((0, 3)), *control_points]), "control points")
     with found.step():
         require_hounsfield(volume, str(scan.volume))
     with found.step("needle"):  # along points on it or a mask, else among the tubes of the volume
@@ -622,6 +613,8 @@ def examine(
         before = np.arange(reach, 0.0, -MM.STATION)[:, None] * back
         points = np.vstack([needle[0] + before, needle, needle[-1] + beyond])
         found.profile = sample_profile(volume, points, arc_length(points) - reach)
+        tip, guide = float(arc_length(needle)[-1]), recipe.guide.thickness_mm
+        found.entry = choose_entry(found.profile, tip, guide, scan.guide_distance)
     if found.error is not None:
         return found
     with found.step("tissue and layers"), located(scan.volume):

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import map_coordinates
+from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
@@ -16,7 +15,7 @@ from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.registration import Registration
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.volume import Volume, to_index
+from needlefit.imaging.volume import Volume, sample
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ class ScanView:
     axes: tuple[str, str]  # what runs to the right and upwards: "x", "y" or "z" of C
     # (H, W); mean over a thin slab, HU; nan outside the volume. Row 0 is the lowest. Along the third axis the
     # slab follows the needle, so that a bent one stays in the picture.
-    values: NDArray[np.float32]
+    values: Floats
     extent: tuple[float, float, float, float]  # left, right, bottom, top edges of the picture, mm in C
 
 
@@ -170,28 +169,16 @@ def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike
     # along the third axis a picture is averaged, mm: the slab holds the needle whole, and its mean quiets the
     # noise so that layers show
     slab = np.arange(-1.2, 1.3, 0.4)
-    right = _list_pixels(max(-before, float(local[0, 0]) - 2.0), float(local[-1, 0]) + margin)
-    shown = local[local[:, 0] >= -before]
-    views, half = [], PLANE_SPACING_MM / 2
+    columns = np.arange(max(-before, local[0, 0] - 2.0), local[-1, 0] + margin, PLANE_SPACING_MM)
+    right, shown, views = columns[:-1] + PLANE_SPACING_MM / 2, local[local[:, 0] >= -before], []
     for up, through in ((1, 2), (2, 1)):
-        side = shown[:, up]
-        rows = _list_pixels(float(side.min()) - margin, float(side.max()) + margin)
-        points = np.empty((len(rows), len(right), len(slab), 3))
+        rows = np.arange(shown[:, up].min() - margin, shown[:, up].max() + margin, PLANE_SPACING_MM)
+        points = np.empty((len(rows) - 1, len(right), len(slab), 3))
         points[..., 0] = right[None, :, None]
-        points[..., up] = rows[:, None, None]
+        points[..., up] = rows[:-1, None, None] + PLANE_SPACING_MM / 2
         middle = np.interp(right, local[:, 0], local[:, through])
         points[..., through] = middle[None, :, None] + slab
-        index = to_index(volume, turned.to_world(points.reshape(-1, 3)))[:, ::-1].T
-        values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float32)
-        extent = (right[0] - half, right[-1] + half, rows[0] - half, rows[-1] + half)
-        left, rightmost, bottom, top = (float(edge) for edge in extent)
-        mean = values.reshape(points.shape[:3]).mean(axis=2)
-        views.append(ScanView(("x", "xyz"[up]), mean, (left, rightmost, bottom, top)))
+        mean = sample(volume, turned.to_world(points)).mean(axis=2)
+        extent = columns[0], columns[-1], rows[0], rows[-1]
+        views.append(ScanView(("x", "xyz"[up]), mean, extent))
     return tuple(views)
-
-
-def _list_pixels(low: float, high: float) -> Floats:
-    """Return the centres of the pixels from `low` to about `high`, mm."""
-    return low + PLANE_SPACING_MM * (
-        np.arange(max(1, round((high - low) / PLANE_SPACING_MM)), dtype=np.float64) + 0.5
-    )

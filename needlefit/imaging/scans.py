@@ -14,6 +14,7 @@ import pandas as pd
 from pydantic import (
     AfterValidator,
     BeforeValidator,
+    Field,
     NonNegativeFloat,
     PositiveInt,
     ValidationError,
@@ -141,11 +142,6 @@ VECTORS = {
     "needle_at": ("needle_x_mm", "needle_y_mm", "needle_z_mm"),
 }
 FILES = ("mask", "markers", "fiducials")
-# Fields that a row and a scan share.
-SAME_FIELDS = (
-    *("id", "series", "medium", "specimen", *FILES, "surfaces_in"),
-    *("layers", "layers_alternative", "origin"),
-)
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 SEGMENTATION_SUFFIXES = (*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)
 SCAN_TABLE_FIX = "write a table of scans, with a column for it"
@@ -163,7 +159,7 @@ def _require_id(text: str) -> str:
 
 def _locate(file: str, info: ValidationInfo) -> Path:
     path = Path(info.context or "", file)
-    if not path_exists(path) if info.field_name == "scan" else not is_file(path):
+    if not path_exists(path) if info.field_name == "volume" else not is_file(path):
         raise ValueError(f"a file, by its path from the folder of the table; there is no file {path}")
     if fault := name_fault(path.name):
         raise ValueError(f"{EXPECTED_NAME}; {fault}")
@@ -178,14 +174,15 @@ def _parse_layers(text: str, info: ValidationInfo) -> tuple[LayerSource, ...]:
 
 Id = Annotated[str, AfterValidator(_require_id)]
 InputFile = Annotated[Any, AfterValidator(_locate)]
+Side = Annotated[Literal["1", "-1"], BeforeValidator(lambda text: f"{float(text):g}"), AfterValidator(int)]
 Vector = tuple[float, float, float]
 Stage = tuple[float, float, float, float, float, float, NonNegativeFloat, NonNegativeFloat]
 
 
 class ScanRow(Record):
-    """The cells of a row of a table of scans that are not empty; those of a vector are one field."""
+    """The cells of a row that are not empty, as fields of its scan; those of a vector are one field."""
 
-    scan: InputFile
+    volume: InputFile = Field(alias="scan")
     id: Id
     series: str | None = None
     medium: Id = "medium"
@@ -197,11 +194,11 @@ class ScanRow(Record):
     surfaces_in: SurfaceFrame = "world"
     stage: Stage | None = None
     bevel: Vector | None = None
-    bevel_side: Annotated[Literal["1", "-1"], BeforeValidator(lambda text: f"{float(text):g}")] = "1"
+    side: Side = Field("1", alias="bevel_side", validate_default=True)
     needle_at: Vector | None = None
     layers: PositiveInt | None = None
     layers_alternative: PositiveInt | None = None
-    guide_distance_mm: NonNegativeFloat | None = None
+    guide_distance: NonNegativeFloat | None = Field(None, alias="guide_distance_mm")
     origin: Literal["measured", "synthetic"] = "measured"
 
     @model_validator(mode="after")
@@ -220,7 +217,8 @@ class ScanRow(Record):
         return self
 
 
-SCAN_COLUMNS = tuple(column for name in ScanRow.model_fields for column in VECTORS.get(name, (name,)))
+COLUMN_NAMES = {name: field.alias or name for name, field in ScanRow.model_fields.items()}
+SCAN_COLUMNS = tuple(column for name in COLUMN_NAMES for column in VECTORS.get(name, (COLUMN_NAMES[name],)))
 
 
 def parse_layer_source(text: str, folder: Path) -> LayerSource:
@@ -276,19 +274,12 @@ def _build_scan(cells: Mapping[str, str], folder: Path, where: str, faults: list
                 )
             )
         return None
-    return Scan(
-        volume=row.scan,
-        surfaces=row.surfaces,
-        stage=row.stage
-        and StagePose(
-            np.array(row.stage[:3]), normalize(row.stage[3:6]), row.stage[6], math.radians(row.stage[7])
-        ),
-        bevel=row.bevel and normalize(row.bevel),
-        needle_at=row.needle_at and np.array(row.needle_at),
-        side=int(row.bevel_side),
-        guide_distance=row.guide_distance_mm,
-        **{name: getattr(row, name) for name in SAME_FIELDS},
-    )
+    fields, pose = dict(row), row.stage
+    if pose:
+        fields["stage"] = StagePose(np.array(pose[:3]), normalize(pose[3:6]), pose[6], math.radians(pose[7]))
+    fields["bevel"] = row.bevel and normalize(row.bevel)
+    fields["needle_at"] = row.needle_at and np.array(row.needle_at)
+    return Scan(**fields)
 
 
 def read_scans(path: Path) -> tuple[Scan, ...]:
@@ -405,13 +396,8 @@ def write_scan_table(scans: Sequence[Scan], path: Path, home: Path | None = None
 
     rows = list[dict[str, Any]]()
     for scan in scans:
-        row = {name: getattr(scan, name) for name in SAME_FIELDS}
-        row |= {name: relative(file) for name in FILES if (file := row[name])}
-        row |= {
-            "scan": relative(scan.volume),
-            "bevel_side": scan.side,
-            "guide_distance_mm": scan.guide_distance,
-        }
+        row = {column: getattr(scan, name) for name, column in COLUMN_NAMES.items()}
+        row |= {name: relative(row[name]) for name in ("scan", *FILES) if row[name]}
         row["surfaces"] = ";".join(layer.name_file(relative(layer.path)) for layer in scan.surfaces)
         pose = scan.stage
         stage = [*pose.entry, *pose.direction, pose.shift_sd, np.degrees(pose.angle_sd)] if pose else None

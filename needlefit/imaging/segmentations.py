@@ -50,26 +50,21 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
         if not is_image_file(place):
             raise DataError("is no label map", expected=EXPECTED_LABELS, fix=SAVE_FIX)
         volume, texts = read_labels_file(place)
-        low, high = float(volume.values.min()), float(volume.values.max())
-        labels_only = all(np.array_equal(plane, np.rint(plane)) for plane in volume.values)
-        if low < 0 or high >= 2**16 or not labels_only:
-            fractions = ", with fractions" * (not labels_only)
-            problem = f"its voxels run from {low:g} to {high:g}{fractions}: this is a scan"
-            raise DataError(problem, expected=EXPECTED_LABELS, fix=SAVE_FIX)
-        counts = sum(np.bincount(plane.ravel().astype(np.int64), minlength=2**16) for plane in volume.values)
-        present: list[int] = [value for value in np.flatnonzero(counts).tolist() if value]
-        if not 1 <= len(present) <= MAX_SEGMENTS:
+        present = sorted(set().union(*(np.unique(plane).tolist() for plane in volume.values)) - {0.0})
+        are_labels = all(0 < value < 2**16 and value.is_integer() for value in present)
+        if not are_labels or not 1 <= len(present) <= MAX_SEGMENTS:
+            many = "holds {} labels: this is a scan, from {:g} to {:g}"
             none = "holds no label: all voxels are 0"
-            problem = f"holds {len(present)} labels: this is a scan" if present else none
+            problem = many.format(len(present), present[0], present[-1]) if present else none
             raise DataError(problem, expected=EXPECTED_LABELS, fix=SAVE_FIX)
-        segments = _parse_segments(texts) or tuple(Segment(value, "") for value in present)
+        segments = _parse_segments(texts) or tuple(Segment(int(value), "") for value in present)
         values = [segment.value for segment in segments]
         if sorted(values) != present:
+            listed = ", ".join(f"{value:g}" for value in present)
             stated = ", ".join(f"{segment.name} (label {segment.value})" for segment in segments)
             overlap = "its segments overlap: " * (len(set(values)) < len(values))
             raise DataError(
-                f"{overlap}its voxels have the labels {', '.join(map(str, present))}, its segments are "
-                f"{stated}",
+                f"{overlap}its voxels have the labels {listed}, its segments are {stated}",
                 expected="each voxel in one segment, and voxels in every segment",
                 fix=SAVE_FIX + (OVERLAP_FIX if overlap else ""),
             )

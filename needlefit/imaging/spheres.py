@@ -26,6 +26,7 @@ from needlefit.imaging.point_spread import (
     PointSpread,
     expected_spread,
     read_spread,
+    robust_sd,
 )
 from needlefit.imaging.volume import Volume, find_cuts, list_voxels_near, to_patient
 
@@ -116,7 +117,6 @@ def render_sphere(near: SphereVoxels, theta: Floats) -> Floats:
     return np.clip(around + (float(np.exp(theta[HEIGHT])) - around) * ball, near.floor, near.ceiling)
 
 
-FIRST_NOISE_PART = 0.05  # noise before it is known, in parts of the ball's brightness
 # Bounds and typical changes of the model's parameters.
 _RANGES = (
     *3 * [(-np.inf, np.inf, 0.2)],
@@ -165,7 +165,7 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
         sd=float(np.linalg.norm([formal, systematic, MM.GRID_SD])),
         spread=spread,
         misfit=misfit,
-        noise=_spread(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
+        noise=robust_sd(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
     )
 
 
@@ -176,19 +176,14 @@ def _fit_model(near: SphereVoxels, first: Floats) -> tuple[Floats, Floats, Float
     """
     count, noise = (
         len(near.values),
-        FIRST_NOISE_PART * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL]),
+        PART.SIGNAL_ERROR * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL]),
     )
     best = _minimize(near, first, noise)
-    noise = max(1.0, noise * _spread(best.fun[:count]))
+    noise = max(1.0, noise * robust_sd(best.fun[:count]))
     alike = max(1.0, MM.BLUR_CORE**3 / float(np.prod(near.spacing)))
     best = _minimize(near, best.x, noise * np.sqrt(alike))
     normal = best.jac.T @ best.jac
     return best.x, noise * np.sqrt(alike) * best.fun[:count], np.linalg.pinv(normal, hermitian=True)
-
-
-def _spread(values: Floats) -> float:
-    """Return the deviation of a Gaussian with this median of absolute values."""
-    return 1.48 * float(np.median(np.abs(values)))
 
 
 def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import polar
+from scipy.ndimage import map_coordinates
 
 from needlefit.arrays import Floats, Ints, are_bounded
 from needlefit.errors import DataError
@@ -47,15 +49,10 @@ class VoxelGrid:
         """The distance of the slices' planes, mm."""
         return float(self.spacing[2] * (self.normal @ self.direction[:, 2]))
 
-    def to_array(self) -> Floats:
-        """Return the grid as rows (6, 3): size, origin, spacing, axes; see `read_grid`."""
-        return np.vstack([self.size, self.origin, self.spacing, self.direction])
-
-
-def read_grid(rows: Floats) -> VoxelGrid:
-    """Return the grid of `VoxelGrid.to_array`."""
-    columns, lines, slices = rows[0].astype(int).tolist()
-    return VoxelGrid((columns, lines, slices), rows[1], rows[2], rows[3:])
+    @property
+    def placing(self) -> dict[str, Floats]:
+        """Origin, spacing and direction of a volume whose values have this size, by their names."""
+        return {"origin": self.origin, "spacing": self.spacing, "direction": self.direction}
 
 
 def check_grid(grid: VoxelGrid) -> None:
@@ -79,10 +76,8 @@ def check_grid(grid: VoxelGrid) -> None:
             fix="check in which unit the spacing was written; it must be mm",
         )
     off = np.abs(grid.direction.T @ grid.direction - np.eye(3))
-    allowed = np.full((3, 3), AXES_COSINE_TOLERANCE)
-    if is_tilted(grid.direction):
-        allowed[:2, 2] = allowed[2, :2] = np.sin(np.radians(MAX_TILT_DEG))
-    if not (off <= allowed).all() or np.hypot(*off[:2, 2]) > np.sin(np.radians(MAX_TILT_DEG)):
+    lean, off[:2, 2], off[2, :2] = np.hypot(*off[:2, 2]), 0.0, 0.0
+    if off.max() > AXES_COSINE_TOLERANCE or lean > np.sin(np.radians(MAX_TILT_DEG)):
         rows = [[round(float(value), 4) + 0.0 for value in row] for row in grid.direction.T]
         raise DataError(
             f"the axes of the voxels are not perpendicular unit vectors: {rows}",
@@ -129,14 +124,12 @@ def orthogonalize(direction: Floats) -> Floats:
         normal = np.cross(direction[:, 0], direction[:, 1])
         axes = orthogonalize(np.column_stack([direction[:, :2], normal / np.linalg.norm(normal)]))
         return np.column_stack([axes[:, :2], direction[:, 2] / np.linalg.norm(direction[:, 2])])
-    u, _, vt = np.linalg.svd(direction)
-    return u @ vt
+    return polar(direction)[0]
 
 
 def max_voxels() -> int:
     """Return the largest number of voxels that is read, as float32."""
-    stated = stated_memory_bytes()
-    return DEFAULT_MAX_VOXELS if stated is None else stated // 4
+    return (stated_memory_bytes() or 4 * DEFAULT_MAX_VOXELS) // 4
 
 
 def check_size(size: tuple[int, int, int]) -> None:
@@ -256,6 +249,16 @@ def to_index(volume: Volume | VoxelGrid, points: ArrayLike) -> Floats:
     return away @ inverse.T / volume.spacing
 
 
+def sample(volume: Volume, points: Floats) -> Floats:
+    """Return the values (...) at LPS points (..., 3), mm; nan outside the volume.
+
+    Trilinear: it keeps centroids; cubic interpolation of a saturated needle, with its ringing, need not.
+    """
+    index = to_index(volume, points.reshape(-1, 3))[:, ::-1].T  # i, j, k; the array is indexed k, j, i
+    values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float64)
+    return np.asarray(values.reshape(points.shape[:-1]), float)
+
+
 def list_voxels_near(volume: Volume, points: ArrayLike, reach: float) -> tuple[Ints, Floats]:
     """Return the voxels (N, 3), i, j, k, of a box within `reach` mm of LPS points, and their values (N,)."""
     index, margin = to_index(volume, points), reach / volume.spacing
@@ -272,10 +275,26 @@ def find_cuts(values: Floats) -> tuple[float, float]:
     return low if cut[0] else -np.inf, high if cut[1] else np.inf
 
 
-def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:
-    """Return which of some LPS points (N, 3), mm, lie more than a voxel outside the volume."""
+def measure_face_distance(volume: Volume, points: Floats) -> Floats:
+    """Return how far the nearest face of the volume is from LPS points (N, 3), mm; (N,)."""
     index, last = to_index(volume, points), np.array(volume.grid.size) - 1
-    return np.flatnonzero(((index < -1) | (index > last + 1)).any(axis=1))
+    return (np.minimum(index, last - index) * volume.spacing).min(axis=1)
+
+
+def require_inside(volume: Volume, points: Floats, kind: str) -> None:
+    """Refuse LPS points (N, 3), mm, of which one lies more than a voxel outside the volume.
+
+    Raises DataError, which names them by their `kind`.
+    """
+    index, last = to_index(volume, points), np.array(volume.grid.size) - 1
+    outside = points[((index < -1) | (index > last + 1)).any(axis=1)]
+    if len(outside):
+        place = ", ".join(f"{x:.1f}" for x in outside[0])
+        raise DataError(
+            f"{len(outside)} of {len(points)} {kind} lie outside the volume, one at L, P, S = {place} mm",
+            expected="places in the scan, LPS, mm",
+            fix="take those of this scan; check that the file states its coordinate system (RAS or LPS)",
+        )
 
 
 # Metal that is cut at it has it in nearly all of its brightest voxels: of those above a part of the top, at

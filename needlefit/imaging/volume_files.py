@@ -3,14 +3,11 @@
 import os
 import sys
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
-
-from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.volume import (
@@ -22,12 +19,10 @@ from needlefit.imaging.volume import (
     begins_as_dicom,
     list_series_files,
     max_voxels,
-    read_grid,
 )
 from needlefit.project.input_files import is_file, list_files, open_regular, path_exists, unreadable_error
 from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process
 
-MAX_ARCHIVE_BYTES = 8 * 2**30  # size of an archive: it may hold more than what is unpacked of it
 MAX_MEMBERS = 50_000  # files in an archive
 CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
 READ_SECONDS = 600.0  # of the processor, within which a file must be read: a damaged one may never end
@@ -65,7 +60,7 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
         arguments = {"path": str(place), "series": series}
         reader = "needlefit.imaging.dicom:read_series"
         notes, arrays = read_in_process(reader, place, arguments, max(sizes, default=0), READ_SECONDS)
-        return _build_volume(arrays, notes)
+        return Volume(**arrays, warnings=tuple(notes))
 
 
 @contextmanager
@@ -97,7 +92,7 @@ def unpack_scan(_arrays: Arrays, path: str, folder: str, total_bytes: int) -> No
     `zipfile` writes no member outside the folder, no links, and of each no more bytes than the archive
     states.
     """
-    with open_regular(Path(path), MAX_ARCHIVE_BYTES) as file, zipfile.ZipFile(file) as archive:
+    with open_regular(Path(path), sys.maxsize) as file, zipfile.ZipFile(file) as archive:
         members = archive.infolist()
         size = sum(member.file_size for member in members)
         problems = {
@@ -158,13 +153,7 @@ def _read_image(path: Path, labels: bool) -> tuple[Volume, dict[str, str]]:
     arguments = {"path": str(path), "stored": stored, "labels": labels}
     reader = "needlefit.imaging.image_files:read_image"
     header, arrays = read_in_process(reader, path, arguments, seconds=READ_SECONDS)
-    return _build_volume(arrays, header["warnings"]), header["texts"]
-
-
-def _build_volume(arrays: Mapping[str, NDArray[Any]], warnings: Sequence[str]) -> Volume:
-    """Return the volume of what a reader has read."""
-    grid = read_grid(arrays["grid"])
-    return Volume(arrays["values"], grid.origin, grid.spacing, grid.direction, tuple(warnings))
+    return Volume(**arrays, warnings=tuple(header["warnings"])), header["texts"]
 
 
 @contextmanager

@@ -34,8 +34,9 @@ Fact = tuple[str, str]
 
 MAX_LISTED_WARNINGS = 10  # number of warnings on a page; the table of the batch has all of them
 _CAPTION = (
-    "The scan in slabs that follow the needle (strip: what it passes; crosses: markers nearby); below, its "
-    "deflection and the brightness around it. Lines: entry, layers, tip. Bands: pointwise 95 %."
+    "The scan in slabs that follow the needle (crosses: markers nearby); below, its deflection and the "
+    "brightness around it (shaded: air, soft, metal; yellow: guide). Lines: entry, layers, tip. Bands: "
+    "pointwise 95 %."
 )
 _REFUSED_CAPTION = (
     "The scan in slabs that follow what was taken for the needle (line); across it, by numbers: the answers."
@@ -108,8 +109,6 @@ _RIGHT_MM = 1.0
 _TOP_MM = 4.0
 _BOTTOM_MM = 11.0
 _PANEL_GAP_MM = 2.5  # and between them
-_STRIP_PART = 0.09  # of an image's height that the strip of materials takes
-_LETTER_MM = 1.4  # mean width of a letter in it, mm
 _MATERIAL_COLOURS = {"air": "#dfe7ef", "soft": "#f3dcc3", "metal": "#5b6470"}
 GUIDE_COLOUR = "#F0E442"
 _PLOT_HEIGHT_MM = 30.0  # of deflection, and of brightness, mm
@@ -127,8 +126,6 @@ def paint_needle_section(reconstruction: Reconstruction) -> Figure:
     def overlay(axes: Axes, view: ScanView, span: Span) -> None:
         draw_reconstruction(axes, view, reconstruction, span)
         axes.set_ylabel(f"{view.axes[1]} in C\n(mm)")
-        if view is reconstruction.views[0]:
-            _paint_materials(axes, reconstruction)
 
     plots = [
         partial(paint, reconstruction=reconstruction) for paint in (_paint_deflection, _paint_brightness)
@@ -211,8 +208,13 @@ def choose_spans(pictures: Sequence[ScanView], needle: Floats, room: float) -> l
 
 
 def _paint_brightness(axes: Axes, reconstruction: Reconstruction) -> None:
-    """Draw the brightness around the needle over x in C; straight on beyond the tip."""
+    """Draw the brightness around the needle, and what it passes, over x in C; straight on beyond the tip."""
     profile = reconstruction.profile
+    for run in reconstruction.passed:
+        guided = reconstruction.name_part(run) == "guide"
+        colour = GUIDE_COLOUR if guided else _MATERIAL_COLOURS[run.kind]
+        ends = _place_along(reconstruction, np.array([run.begin, run.end]))
+        axes.axvspan(*ends, facecolor=colour, edgecolor="white", lw=0.6, alpha=0.6, zorder=0)
     axes.plot(_place_along(reconstruction, profile.s), profile.around, color=INK, lw=0.9)
     axes.set_ylabel("surroundings\n(HU)")
     draw_grid(axes, "y")
@@ -225,27 +227,6 @@ def _place_along(reconstruction: Reconstruction, s: Floats) -> Floats:
     along += reconstruction.depth - along[-1]
     beyond = np.clip(s - along[-1], 0, None) + np.clip(s - along[0], None, 0)
     return np.interp(s, along, points[:, 0]) + beyond
-
-
-def _paint_materials(axes: Axes, reconstruction: Reconstruction) -> None:
-    """Draw what the needle passes as a strip at the foot of an image."""
-    left, right = axes.get_xlim()
-    width = NEEDLE_SECTION_WIDTH_MM - _LEFT_MM - _RIGHT_MM
-    for run in reconstruction.passed:
-        low, high = np.clip(
-            _place_along(reconstruction, np.array([run.begin, run.end])), left, right
-        ).tolist()
-        guided = reconstruction.name_part(run) == "guide"
-        kind = "guide" if guided else run.kind
-        colour = GUIDE_COLOUR if guided else _MATERIAL_COLOURS[run.kind]
-        axes.axvspan(low, high, 0, _STRIP_PART, facecolor=colour, edgecolor="white", lw=0.6, zorder=6)
-        level = "" if run.kind == "air" else f" {run.level:.0f} HU".replace("-", "\N{MINUS SIGN}")
-        room = width * (high - low) / (right - left) / _LETTER_MM
-        name = next((name for name in (kind + level, kind) if len(name) < room), "")
-        axes.text(
-            (low + high) / 2, _STRIP_PART / 2, name, transform=axes.get_xaxis_transform(), ha="center",
-            va="center", fontsize=6.5, color="white" if kind == "metal" else INK, zorder=7,
-        )  # fmt: skip
 
 
 def _paint_deflection(axes: Axes, reconstruction: Reconstruction) -> None:

@@ -4,15 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.ndimage import map_coordinates
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.smoothing_spline import DEGREE, design_matrix, free_end_basis, make_knots
 from needlefit.imaging.constants import MM, SD
-from needlefit.imaging.volume import Volume, to_index
+from needlefit.imaging.volume import Volume, sample
 
-MAX_POINT_WEIGHT = 30.0  # a point counts at most for so many cross-sections
 FEWEST = 8  # of cross-sections, or voxels, that make an axis; fewer are noise
 ROUNDS = 3  # of moving sections to the middle, each on the axis before; reweighting takes one more
 
@@ -85,9 +83,8 @@ def fit_axis(s: Floats, points: Floats, weights: Floats, knot: float, tip: float
 
 def extend_axis(axis: AxisSpline, at: float, point: Floats, sd: float, knot: float) -> AxisSpline:
     """Fit the spline again with a further `point` (3,) of deviation `sd` (mm) at `at` (mm)."""
-    weight = min(axis.variance / sd**2, MAX_POINT_WEIGHT)
     s, points = np.append(axis.s, at), np.vstack([axis.points, point])
-    longer = fit_axis(s, points, np.append(axis.weights, weight), knot)
+    longer = fit_axis(s, points, np.append(axis.weights, axis.variance / sd**2), knot)
     scale = axis.variance / longer.variance  # one point more determines no scatter
     covariance = longer.covariance * scale
     return replace(
@@ -157,17 +154,9 @@ def disc_points(radius: float) -> Floats:
 
 
 def sample_planes(volume: Volume, where: AxisFrames, plane: Floats) -> Floats:
-    """Return the brightness (S, P), HU, at `plane` (P, 2) in every frame; nan outside the volume.
-
-    Trilinear: it keeps centroids; cubic interpolation of a saturated needle, with its ringing, need not.
-    """
-    points = (
-        where.origins[:, None] + plane[None, :, :1] * where.u[:, None] + plane[None, :, 1:] * where.v[:, None]
-    )
-    # to_index gives i, j, k; the array is indexed k, j, i
-    index = to_index(volume, points.reshape(-1, 3))[:, ::-1].T
-    values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float64)
-    return values.reshape(points.shape[:2])
+    """Return the brightness (S, P), HU, at `plane` (P, 2) in every frame; nan outside the volume."""
+    across = plane @ np.stack([where.u, where.v], axis=1)  # (S, P, 3)
+    return sample(volume, where.origins[:, None] + across)
 
 
 def find_centroids(values: Floats, plane: Floats, reach: float) -> tuple[Floats, Floats]:

@@ -27,7 +27,7 @@ from needlefit.imaging.needle.segmentation import Component
 from needlefit.imaging.needle.slice_fit import place_in_slices
 from needlefit.imaging.needle.tip import TIP, TipFit, bevel_length, fit_tip, search_tip
 from needlefit.imaging.point_spread import PointSpread
-from needlefit.imaging.volume import Volume, to_index
+from needlefit.imaging.volume import Volume, measure_face_distance
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 
@@ -208,8 +208,7 @@ def find_end(volume: Volume, axis: AxisSpline, diameter: float) -> float:
 def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
     """Return the axis directed from base to tip; DataError if the direction cannot be determined."""
     ends = axis.spline(np.array([0.0, axis.length]))
-    index, last = to_index(volume, ends), np.array(volume.values.shape[::-1]) - 1
-    cut = (np.minimum(index, last - index) * volume.spacing).min(axis=1) < MM.EDGE_BLUR
+    cut = measure_face_distance(volume, ends) < MM.EDGE_BLUR
     where = "; ".join(", ".join(f"{x:.0f}" for x in end) for end in ends)
     direction = recipe.centerline.entry_direction
     soft = _soft_lengths(volume, axis)

@@ -68,11 +68,8 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
 
 def follow_tube(volume: Volume, tube: Component, recipe: ReconstructionRecord) -> AxisSpline:
     """Return the rough axis of the needle of which `tube` is the part that a threshold shows."""
-    points = to_patient(volume, tube.voxels)
-    i, j, k = tube.voxels.T
-    bright = volume.values[k, j, i].astype(np.float64)
-    bright -= bright.min() - 1.0
-    return _follow(volume, _average_pieces(points, bright), recipe)
+    bright = tube.values - tube.values.min() + 1.0
+    return _follow(volume, _average_pieces(tube.points, bright), recipe)
 
 
 def _average_pieces(points: Floats, weights: Floats) -> Floats:

@@ -63,6 +63,8 @@ class Component:
     """A connected component of bright voxels, with its measures."""
 
     voxels: Ints  # (N, 3); i, j, k
+    points: Floats  # (N, 3); the same, LPS, mm
+    values: Floats  # (N,); HU
     length: float  # extent along the main axis, mm
     width: float  # diameter of a rod of this length and as many voxels, mm
     bend: float  # root mean square distance from the parabola that fits best, mm
@@ -225,9 +227,9 @@ def measure_component(volume: Volume, voxels: Ints) -> Component:
     off = local[:, 1:] - np.stack([np.polyval(c, local[:, 0]) for c in curve.T], axis=1)
     bend = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
     width = float(np.sqrt(4 * len(voxels) * voxel / (np.pi * length)))
-    last = np.array(volume.values.shape[::-1]) - 1
-    on_face = float(np.mean(np.any((voxels == 0) | (voxels == last), axis=1)))
-    return Component(voxels, length, width, bend, on_face, off)
+    on_face = float(np.mean(np.any((voxels == 0) | (voxels == np.array(volume.grid.size) - 1), axis=1)))
+    values = volume.values[tuple(voxels.T[::-1])].astype(np.float64)
+    return Component(voxels, points, values, length, width, bend, on_face, off)
 
 
 def median_tissue_hu(volume: Volume) -> float:
@@ -262,10 +264,10 @@ def select_needle(
     """
     tubes = find_tubes(volume, recipe) if tubes is None else tubes
     if point is None:
-        alike = list_needles(volume, tubes, recipe.needle.diameter_mm)
+        alike = list_needles(tubes, recipe.needle.diameter_mm)
         if len(alike) > 1:
             raise DataError(
-                f"{len(alike)} needles: {'; '.join(describe_tube(volume, part) for part in alike)}",
+                f"{len(alike)} needles: {'; '.join(map(describe_tube, alike))}",
                 expected="one needle",
                 fix=(
                     "reconstruct every one (--all); or state a point on the needle that is "
@@ -275,10 +277,10 @@ def select_needle(
             )
         needle = alike[0]
     else:
-        distances = [float(cKDTree(to_patient(volume, part.voxels)).query(point)[0]) for part in tubes]
+        distances = [float(cKDTree(part.points).query(point)[0]) for part in tubes]
         nearest = int(np.argmin(distances))
         if distances[nearest] > MAX_START_DISTANCE_MM:
-            listed = "; ".join(describe_tube(volume, part) for part in tubes)
+            listed = "; ".join(map(describe_tube, tubes))
             raise DataError(
                 f"no tube passes the stated point of the needle; there is {listed}",
                 expected=f"a tube within {MAX_START_DISTANCE_MM:g} mm of it",
@@ -289,36 +291,29 @@ def select_needle(
     others = tuple(part for part in tubes if part is not needle)
     if not others:
         return NeedleSelection(needle)
-    listed = "; ".join(describe_tube(volume, part) for part in others)
-    note = f"beside the needle ({describe_tube(volume, needle)}) the scan holds {listed}"
+    listed = "; ".join(map(describe_tube, others))
+    note = f"beside the needle ({describe_tube(needle)}) the scan holds {listed}"
     return NeedleSelection(needle, others, (note,))
 
 
-def describe_tube(volume: Volume, part: Component) -> str:
+def describe_tube(part: Component) -> str:
     """Return the measures of a tube in words."""
-    first, last = (", ".join(f"{x:.0f}" for x in end) for end in find_ends(volume, part))
+    first, last = (", ".join(f"{x:.0f}" for x in end) for end in find_ends(part))
     return f"a tube of {part.length:.0f} mm, {part.width:.1f} mm wide, from L, P, S = {first} to {last} mm"
 
 
-def find_ends(volume: Volume, part: Component) -> Floats:
+def find_ends(part: Component) -> Floats:
     """Return the two ends (2, 3) of a component along its main axis, LPS, mm."""
-    points = to_patient(volume, part.voxels)
-    center, axes = principal_axes(points)
-    along = (points - center) @ axes[0]
-    return points[[int(np.argmin(along)), int(np.argmax(along))]]
+    along = part.points @ principal_axes(part.points)[1][0]
+    return part.points[[int(np.argmin(along)), int(np.argmax(along))]]
 
 
 def list_needles(
-    volume: Volume, tubes: Sequence[Component], diameter: float, ratio: float = PART.SECOND_NEEDLE
+    tubes: Sequence[Component], diameter: float, ratio: float = PART.SECOND_NEEDLE
 ) -> list[Component]:
     """Return the tubes, of those given longest first, that may be a needle beside the longest one."""
-    level, length = ratio * _mean_hu(volume, tubes[0]), ratio * tubes[0].length
-    alike = [part for part in tubes if part.length >= length and _mean_hu(volume, part) >= level]
+    level, length = ratio * tubes[0].values.mean(), ratio * tubes[0].length
+    alike = [part for part in tubes if part.length >= length and part.values.mean() >= level]
     misses = [abs(math.log(part.width / diameter)) for part in alike]
     clear = min(misses) + math.log(PART.CLEAR_WIDTH)
     return [part for part, miss in zip(alike, misses, strict=True) if miss < clear]
-
-
-def _mean_hu(volume: Volume, part: Component) -> float:
-    i, j, k = part.voxels.T
-    return float(np.mean(volume.values[k, j, i]))

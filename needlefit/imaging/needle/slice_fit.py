@@ -29,7 +29,7 @@ from needlefit.imaging.needle.follow import STEP_MM
 from needlefit.imaging.needle.hub import Hub, find_hub
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, VIEW_STEP, Rod
 from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, ROLL_FACTOR, ROUGH_STEPS, TipFit, point_bevel
-from needlefit.imaging.point_spread import PointSpread, expected_spread
+from needlefit.imaging.point_spread import PointSpread, expected_spread, robust_sd
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedleRecord
 
@@ -56,7 +56,6 @@ CORRELATED = 10.0  # samples
 # What no residual shows, slices: of the axis; and where the needle does not cross a slice, as its mirror
 # image looks the same, at its end twice. Set on volumes of `benchmarks/real_scanners.py --seeds 2000:2013`.
 MIRROR_SD = 0.2  # slices
-HUB_WEIGHT = 5.0  # of a hub's middle in a first axis
 HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, mm, and slices
 
 
@@ -87,10 +86,13 @@ def place_in_slices(
     hub = find_hub(volume, points, needle.diameter_mm)
     hub = hub and replace(hub, ends=(hub.ends - origin) @ frame.T)
     for _ in range(MAX_FITS):
-        problem = _SliceProblem(volume, needle, frame, origin, (x, y, z), spread, hub)
+        coarse, problem = (
+            _SliceProblem(volume, needle, frame, origin, (x, y, z), spread, hub, rough)
+            for rough in (ROUGH, 1.0)
+        )
         if np.count_nonzero(problem.seen.any(axis=0)) < 2 * len(problem.start):
             return None
-        theta, covariance, error = problem.solve()
+        theta, covariance, error = problem.solve(coarse.search())
         across, along, (end, roll), scan = problem.split(theta)
         transparent = scan[0] < problem.means[0] - SD.DISAGREEMENT * problem.sds[0]
         if transparent and hub is None and error > PART.END_MISFIT:
@@ -148,8 +150,12 @@ class _SliceProblem:
         axis: tuple[Floats, Floats, Floats],
         spread: PointSpread | None,
         hub: Hub | None,
+        rough: float,
     ) -> None:
-        """Sample slices around `axis` (x, y, z) and `hub`, both in `frame` (3, 3) from `origin`, mm."""
+        """Sample slices around `axis` (x, y, z) and `hub`, both in `frame` (3, 3) from `origin`, mm.
+
+        Pieces of the rod, and the angles of the views, are larger by the factor `rough`.
+        """
         x, y, z = axis
         thick, radius = volume.grid.slice_distance, needle.diameter_mm / 2
         knots = make_knots(x[0], x[-1], KNOT_FACTOR * MM.KNOT)
@@ -158,12 +164,11 @@ class _SliceProblem:
         self.at = _extend(basis, stations)  # (S, C) from coefficients to the axis at stations
         # where the axis follows a staircase from slice to slice, or rays that pull it aside, polynomials do
         # not
-        places, weights = np.column_stack([x, y, z]), np.ones(len(x))
+        places = np.column_stack([x, y, z])
         if hub is not None:  # its shadow pulls the axis aside where it begins
             places = np.vstack([places[x > x[0] + MM.HIDDEN], hub.ends[1:]])
-            weights = np.append(np.ones(len(places) - 1), HUB_WEIGHT)
         fit = np.polynomial.Polynomial.fit
-        course = [fit(places[:, 0], places[:, n], degree, w=weights)(x) for n, degree in ((1, 3), (2, 2))]
+        course = [fit(places[:, 0], places[:, n], degree)(x) for n, degree in ((1, 3), (2, 2))]
         start = np.linalg.lstsq(_extend(basis, x), np.stack(course, axis=1))[0]
         self.start: Floats = np.asarray(start, float)  # (C, 2)
         line = np.arange(-MM.PATCH, MM.PATCH + 1e-6, LINE_STEP_MM)
@@ -191,31 +196,25 @@ class _SliceProblem:
         shear = basis.derivative(3)((unique[1:] + unique[:-1]) / 2)
         bent = np.vstack([shear, basis.derivative(2)(unique[-1:]) / MM.END_MOMENT])
         self.bent = bent * moment / SHEAR_SD_MM2  # (J, C) from coefficients to shear forces, in deviations
-        self.needle, self.last, self.hub = needle, x[-1], hub
-        self.seen_at, self.thick = (slices * thick, stations, side), thick
-        self.lay_rod(ROUGH)
+        self.hub, self.thick = hub, thick
+        step = rough * COLUMN_MM
+        columns = np.arange(x[-1] + MM.BEYOND_END, x[-1] - needle.length_mm, -step)
+        self.to_columns = _extend(basis, columns)  # (columns, C)
+        # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
+        true = np.tan(np.radians(needle.bevel_deg))
+        steep = min(true, needle.diameter_mm / step)
+        # about where the needle ends; a bevel that projects as the end does reaches farther, mm
+        self.end = x[-1] + radius / steep - radius / true
+        self.rod = Rod(columns, radius, steep, thick, slices * thick, stations, side, rough * VIEW_STEP)
+        if hub is not None:
+            (back, front) = hub.ends
+            across, along = (np.interp(columns, [back[0], front[0]], [back[n], front[n]]) for n in (1, 2))
+            self.held = self.rod.lengths(across, along, float(front[0]), 0.0, (float(back[0]), hub.radius))
         expected = spread or expected_spread(thick)
         profile = np.log(expected.weigh_planes(SENSITIVITY_AT[1:] * thick))
         # what is known of the parameters of the scan (11,), and its deviations
         self.means = np.concatenate([np.log([part.value for part in BEAM]), expected.parameters[:2], profile])
         self.sds = np.concatenate([[part.sd for part in BEAM], expected.sds[:2], PROFILE_SDS])
-
-    def lay_rod(self, rough: float) -> None:
-        """Lay out the rod; its pieces and the angles of the views are larger by the factor `rough`."""
-        radius, step = self.needle.diameter_mm / 2, rough * COLUMN_MM
-        columns = np.arange(self.last + MM.BEYOND_END, self.last - self.needle.length_mm, -step)
-        self.to_columns = _extend(self.basis, columns)  # (columns, C)
-        # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
-        true = np.tan(np.radians(self.needle.bevel_deg))
-        steep = min(true, self.needle.diameter_mm / step)
-        # about where the needle ends; a bevel that projects as the end does reaches farther, mm
-        self.end = self.last + radius / steep - radius / true
-        self.rod = Rod(columns, radius, steep, self.thick, *self.seen_at, rough * VIEW_STEP)
-        if self.hub is not None:
-            (back, front) = self.hub.ends
-            across, along = (np.interp(columns, [back[0], front[0]], [back[n], front[n]]) for n in (1, 2))
-            behind = float(back[0]), self.hub.radius
-            self.held = self.rod.lengths(across, along, float(front[0]), 0.0, behind)
 
     def split(self, theta: Floats) -> list[Floats]:
         """Return the parameters of each kind."""
@@ -309,8 +308,8 @@ class _SliceProblem:
             max_nfev=ROUGH_STEPS,
         )
 
-    def solve(self) -> tuple[Floats, Floats, float]:
-        """Return parameters, their covariance and the model's relative error."""
+    def search(self) -> Floats:
+        """Return about where the needle runs and ends, from where its axis was traced."""
         best = np.concatenate([*self.start.T, [0.0, 0.0], self.means])
         lowest = self.first_misfit(best)
         for step in START_STEPS:  # its course along the normal moved
@@ -320,8 +319,10 @@ class _SliceProblem:
                 for theta in self.move(best, step):
                     if (cost := self.first_misfit(theta)) < lowest:
                         best, lowest, improved = theta, cost, True
-        best = self.turn(best)
-        self.lay_rod(1.0)
+        return self.turn(best)
+
+    def solve(self, best: Floats) -> tuple[Floats, Floats, float]:
+        """Return parameters near `best`, their covariance and the model's relative error."""
         for robust in ROBUST_SD:  # with ends before rolls a tip was 0.41 mm short, with both at once 0.01
             best = self.turn(self.descend(best, self.first_scale, robust).x)
         scale = self.scale(self.image(self.project(best), best))
@@ -361,8 +362,8 @@ class _SliceProblem:
         seen, over = self.seen[..., None], np.abs(image - self.level)
         bright = seen & (over > PART.FAINT * np.percentile(over[self.seen], 97))
         left = np.abs(image - self.shown)
-        noise = 1.48 * float(np.median(left[seen & ~bright]))
-        error = 1.48 * float(np.median(left[bright] / over[bright]))
+        noise = robust_sd(left[seen & ~bright])
+        error = robust_sd(left[bright] / over[bright])
         return np.hypot(max(noise, 0.005), np.clip(error, 0.02, 0.5) * over)
 
     def error(self, image: Floats) -> float:

@@ -40,6 +40,7 @@ from needlefit.imaging.point_spread import (
     PointSpread,
     expected_spread,
     read_spread,
+    robust_sd,
 )
 from needlefit.imaging.volume import Volume, find_cuts, list_voxels_near, to_patient
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
@@ -121,7 +122,6 @@ SPREAD = slice(7, 10)
 START_ENDS_MM = np.arange(-0.8, 0.9, 0.4)  # around the first guess, at which the bevel's side is tried
 ROUGH_STEPS = 8  # of a first fit, and of fits to slices
 STEPS = 30  # of a last fit
-DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
 ROLL_FACTOR = 3.0  # of the roll's deviation: artefacts near the tip
 ROLL_SD = 0.15  # of the roll, rad, that no residual shows
@@ -197,7 +197,7 @@ class TipProblem:
         away = np.hypot(*self.places[1:])
         beyond, noise = values[places[0] > guess + 0.5 * MM.BEYOND_END], 50.0
         if beyond.size >= 20:
-            noise = max(10.0, 1.48 * float(np.median(np.abs(beyond - np.median(beyond)))))
+            noise = max(10.0, robust_sd(beyond - np.median(beyond)))
         error = PART.SIGNAL_ERROR * np.clip(self.values - self.level, 0, None)
         self.sigma = np.sqrt(1 + (away / (2 * SCANNER.BLUR.value)) ** 4) * np.hypot(noise, error)
 
@@ -210,7 +210,8 @@ class TipProblem:
         """Return what the scanner shows in the voxels (N,), HU."""
         places, spread = self.place(theta), read_spread(theta[SPREAD])
         s, u, v = places
-        streak = np.exp(-np.maximum(s, 0) / MM.BLUR_REACH - (u**2 + v**2) / (2 * MM.STREAK_RADIUS**2))
+        width = self.rod.radius**2 + SCANNER.BLUR.value**2  # of the blurred needle, whose shadow it is
+        streak = np.exp(-np.maximum(s, 0) / MM.BLUR_REACH - (u**2 + v**2) / (2 * width))
         height = float(np.exp(theta[HEIGHT]))
         image = self.rod.image(float(theta[ROLL]), float(theta[COT]), spread, places, height)
         shown = theta[LEVEL] + image + theta[STREAK] * streak
@@ -239,7 +240,7 @@ class TipProblem:
 
         Voxels in one blur count as one.
         """
-        left = 1.48 * float(np.median(np.abs(self.residuals(start)[: len(self.values)])))
+        left = robust_sd(self.residuals(start)[: len(self.values)])
         blurs = 8 * float(np.exp(2 * start[BLUR] + start[SLICE])) / float(np.prod(self.volume.spacing))
         self.sigma = self.sigma * max(1.0, left) * np.sqrt(max(1.0, blurs))
         return self.minimize(start, STEPS)
@@ -253,7 +254,7 @@ class TipProblem:
             loss="soft_l1",
             f_scale=SD.DISAGREEMENT,
             x_scale=PARAMETER_SCALES,
-            diff_step=DERIVATIVE_STEP,
+            diff_step=np.array(PART.TOLERANCE),
             ftol=PART.TOLERANCE,
             xtol=PART.TOLERANCE,
             gtol=PART.TOLERANCE,
