@@ -187,6 +187,9 @@ def test_tables_are_read_as_they_are_meant(tmp_path, case):
         assert plan.boundaries_mm == {name: tuple(depths) for name, depths in case["boundaries"].items()}
     assert {*case.get("assumed", ())} <= assumed and not {*case.get("stated", ())} & assumed
     assert {*case.get("noted", ())} <= {what for what, _ in prepared.notes}
+    if "depth_units" in case:
+        columns = [table.columns for table in prepared.mapping.tables]
+        assert [one["depth"].unit for one in columns if "depth" in one] == case["depth_units"]
     assert "unused" not in case or {what for what, _ in prepared.unused} == {*case["unused"]}
 
 

@@ -110,8 +110,9 @@ def _add_unit(
     draft, table, usual = columns.draft, columns.table, MEANINGS[meaning].unit
     unit, is_free = draft.unit, meaning in COORDINATES and table.system is None
     is_step = any(map(str.isdigit, unit))  # of a pixel: no unit of lengths in mm
-    if unit and is_free and not (is_step and record.get("unit", "px") != "px"):
-        record["unit"] = unit  # also beside a header that states another one
+    has_unit = record.get("unit", "px") != "px"
+    if unit and is_free and not (has_unit and (is_step or not is_point)):
+        record["unit"] = unit  # of points also beside a header that states another one
     elif usual in ("mm", "1/mm", "GPa") and not record.keys() & {"unit", "unit_column"}:
         is_fact = usual == "1/mm" or (meaning in ATTRIBUTES and not is_point)
         is_bare = is_fact and any(list_bare_numbers(text) for column in taken for text in column.texts)

@@ -34,6 +34,7 @@ from needlefit.geometry.surfaces import READ_SUFFIXES
 from needlefit.project.input_files import is_dir, is_file, path_exists
 from needlefit.project.locate import join_names, sort_by_similarity
 from needlefit.project.toml import check, override
+from needlefit.project.units import UNITS_MM
 from needlefit.schemas.mapping import TableRecord
 
 SETUP_SHEET, GUIDE_SHEET = "setup", "read me"  # of the workbook to fill in
@@ -91,7 +92,8 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
         needed = [key for key in ("depth", "deflection") if key not in known]
         numbers = [key.partition(".")[2] for key in draft.assumed if key.startswith("unused.")]
         for key in needed if len(needed) < 2 else "xy":
-            answers = {name: {f"{key}.column": name} for name in numbers}
+            lengths = [name for name in numbers if read_header(name).unit in ("", "px", *UNITS_MM)]
+            answers = {name: {f"{key}.column": name} for name in lengths}
             draft.ask_column(key, str(paths[0]), answers, f" ({problem or paths[0]})")
     read = {name for table in draft.tables for name in table["files"]}
     for path in paths if not draft.opens else ():

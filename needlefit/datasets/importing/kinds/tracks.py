@@ -82,13 +82,14 @@ class TrackPlacer(Placer):
         if all(curve.is_deflection for curve in curves):
             return bevel
         bends = find_bends(curves)
-        guess, reason = "bend", "the mean direction in which the tips bend from their sides"
+        guess, reason, fix = "bend", "the mean direction in which the tips bend from their sides", ""
         if not bends.agree:
             guess, reason = "", "tips bend to several sides, which a column `bevel side` should state"
+            fix = f"name a table `run,bevel side`, too; if it states them: {name_set('bevel', 'X,Y,Z')}"
         if guess and not is_alone:
             self.note("bevel of tracks", reason)
         else:
-            guess = self.settle("bevel", guess, reason).text
+            guess = self.settle("bevel", guess, reason, fix).text
         bevel = bends.mean if guess == "bend" else normalize(self.settle("bevel").to_vector("bevel"))
         along = normalize(self.settle("pose").to_vector("pose")) if self.is_posed else bends.direction
         sideways = bevel - (bevel @ along) * along
