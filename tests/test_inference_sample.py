@@ -90,7 +90,7 @@ class Interpolation:
 
 @pytest.mark.parametrize(("error", "off"), [(0.9 * MAX_RMS_ERROR, 0.1), (1.1 * MAX_RMS_ERROR, 0.0)])
 def test_a_chain_by_interpolated_densities_is_made_again_if_they_err_too_much(error, off):
-    nodes, count = Interpolation(error), 16 * 260
+    nodes, count = Interpolation(error), 16 * 261
     begin = replace(BEGIN, interpolated=nodes)
     got = draw(GAUSSIAN, begin, walkers=16, densities=count, independent_draws=10**6)
     away = got.log_posterior.ravel() - GAUSSIAN.log_density(flat(got))
