@@ -6,7 +6,11 @@ import calibration
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+import pytest
 import scipy
+from test_simulated_data import small_problem
+
+from needlefit import api
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -38,6 +42,19 @@ def test_exact_posteriors_pass_and_narrow_ones_fail():
     )
     passes = summarize(place_all({"exact": exact, "narrow": narrow, "wide": wide}))["passes"]
     assert passes.to_dict() == {"exact": True, "narrow": False, "wide": False}
+
+
+def rank_small(count, monkeypatch):
+    monkeypatch.setattr(api, "make_problem", lambda _: small_problem())
+    rows = [calibration.rank_truth("small", seed) for seed in range(count)]
+    return pd.DataFrame([one | {"seed": seed} for seed, each in enumerate(rows) for one in each])
+
+
+@pytest.mark.sweep
+def test_needles_of_the_model_itself_are_calibrated(monkeypatch):
+    table = summarize(rank_small(25, monkeypatch))
+    assert list(table.index) == ["mu1_pa", "bevel_mm", "tip", "log likelihood"]
+    assert table["passes"].all()
 
 
 def test_the_rows_of_the_documents_pass_from_the_prior_and_cover_tips_of_other_truths():

@@ -19,6 +19,7 @@ from needlefit.cli import main, screen
 from needlefit.cli.exit_codes import Invocation, report_error
 from needlefit.cli.options import name_changes
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
+from needlefit.project.locate import find_file
 from needlefit.project.toml import dumps
 from needlefit.reporting.table import TableColumn, TableLayout
 
@@ -65,6 +66,14 @@ def test_a_command_imports_what_it_uses(words, libraries):
     found = metadata.packages_distributions()  # of the extras too
     required = {module for module, packages in found.items() if names & {one.lower() for one in packages}}
     assert loaded & required == libraries
+
+
+def test_a_fit_loads_no_statistics_of_scipy(tmp_path):
+    fit = find_file("fit", "chicken").read_text()
+    (tmp_path / "quick.toml").write_text(fit.replace('"default"', '"quick"'))
+    loaded = list_loaded("tune", "./quick.toml", "--no-sample", "--quiet", cwd=tmp_path)
+    assert "scipy.stats" not in loaded  # 0.4 s
+    assert {"matplotlib", "scipy.optimize"} <= loaded
 
 
 @pytest.mark.parametrize(

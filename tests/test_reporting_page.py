@@ -1,3 +1,7 @@
+import base64
+import hashlib
+import html
+import re
 from html.parser import HTMLParser
 
 import pytest
@@ -40,6 +44,16 @@ def page(tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "overlays.pdf"
     drawn = {"overlays": draw_overlays(one).save(path, one.origin)}
     return compile_html(compose_run_report(one, drawn)), one
+
+
+def test_every_script_is_named_by_the_policy_which_allows_no_network(page):
+    text = page[0].decode()
+    scripts = re.findall(r'<script(?: id="program")?>(.*?)</script>', text, re.DOTALL)
+    digests = [base64.b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in scripts]
+    named = " ".join(f"'sha256-{digest}'" for digest in digests)
+    (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', text)
+    assert f"script-src {named} 'wasm-unsafe-eval'" in html.unescape(policy)
+    assert "default-src 'none'" in html.unescape(policy) and " http" not in policy
 
 
 def test_every_figure_and_table_can_be_reached_and_is_described(page):
