@@ -92,6 +92,7 @@ class MM:
     HIDDEN = 15.0  # of a needle that rays hide: at its end, behind a hub, or between two pieces [R]
     SWING_SD = 0.1  # by which a needle leaves its shaft's course within its bevel
     LEAST_SLICE_BLUR = 0.2  # of scanners, across slices
+    STREAK_RADIUS = 0.8  # deviation of a streak across [R]
     TIP_DOUBT = 0.3  # deviation of the tip along, or along the slices' normal, that is spoken of
     DEPTH_SD = 2.0  # of the inserted length, beyond which a scan is refused
 

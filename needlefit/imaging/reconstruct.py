@@ -524,8 +524,6 @@ def derive_reconstruction(
         passed=passed,
         guide=found.guide and (found.guide[0] - begin, found.guide[1] - begin),
         confirmed=found.confirmed,
-        views=(),
-        warnings=(),
     )
     picked = found.selection  # nothing to say where all other tubes are needles of their own
     doubts = () if not picked or found.scan.divided == 1 + len(picked.others) else picked.warnings

@@ -130,8 +130,8 @@ class Reconstruction:
     passed: tuple[MaterialRun, ...]  # what the needle passes, from first contact; before it negative
     guide: tuple[float, float] | None  # where the guide that was subtracted begins and ends, likewise
     confirmed: str  # what of the entry was in doubt, and which answer a person gave; empty if nothing was
-    views: tuple[ScanView, ...]
-    warnings: tuple[str, ...]  # what a person should know
+    views: tuple[ScanView, ...] = ()
+    warnings: tuple[str, ...] = ()  # what a person should know
     # What the centreline was drawn through, world, arc lengths from first contact, the shaft outside
     # included; None where no scan was traced.
     sections: SplineSections | None = None

@@ -210,8 +210,7 @@ class TipProblem:
         """Return what the scanner shows in the voxels (N,), HU."""
         places, spread = self.place(theta), read_spread(theta[SPREAD])
         s, u, v = places
-        width = self.rod.radius**2 + SCANNER.BLUR.value**2  # of the blurred needle, whose shadow it is
-        streak = np.exp(-np.maximum(s, 0) / MM.BLUR_REACH - (u**2 + v**2) / (2 * width))
+        streak = np.exp(-np.maximum(s, 0) / MM.BLUR_REACH - (u**2 + v**2) / (2 * MM.STREAK_RADIUS**2))
         height = float(np.exp(theta[HEIGHT]))
         image = self.rod.image(float(theta[ROLL]), float(theta[COT]), spread, places, height)
         shown = theta[LEVEL] + image + theta[STREAK] * streak
