@@ -268,6 +268,7 @@ def predict():
     return json.loads(Path("reports/predict-held_out-ahead/run.json").read_text())
 
 
+@pytest.mark.sweep
 def test_a_posterior_of_another_fit_is_not_used(validated, capsys):
     line = "predict gel --scene ahead --quiet --jobs 1"
     result = Path("reports/predict-gel-ahead/run.json")

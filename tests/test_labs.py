@@ -69,7 +69,7 @@ def find_truth(lab):
         assert low < TRUTH[name] < high, (name, low, high)
 
 
-OFTEN = ("tracker", "ct and camera")  #: of every session; the others are swept
+OFTEN = ("ct and camera",)  #: of every session; the others are swept
 
 
 @pytest.mark.parametrize(
