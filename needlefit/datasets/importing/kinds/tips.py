@@ -32,7 +32,8 @@ class TipPlacer(Placer):
     def fill_tips(self) -> None:
         """Fill in what was measured, toward bevels and across."""
         for curve in self.curves:
-            curve.tips = [TipReading(curve.line[0, 1:], None, curve.points.where())]
+            sd = None if curve.points.sd is None else float(curve.points.sd[0])
+            curve.tips = [TipReading(curve.line[0, 1:], sd, curve.points.where())]
         add_tips(self)
         self.note_deflections()
 
@@ -79,11 +80,11 @@ def split_tips(asked: CurveAnswers) -> None:
             insertion = replace(
                 curve,
                 name=name,
-                points=replace(points, values=values, sd=None),
+                points=replace(points, values=values, sd=np.array([tip.sd]) if len(rows) > 1 else None),
                 stated={**curve.stated},
                 hole=curve.name if curve.is_named else "",
             )
-            if tip.sd is not None:
+            if len(rows) == 1 and tip.sd is not None:
                 insertion.stated["point_sd"] = Stated(f"{tip.sd:.6g}", "mm", tip.where)
             insertions.append(insertion)
     if are_joined:
