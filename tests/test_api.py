@@ -201,3 +201,21 @@ def test_errors_of_a_study_are_those_of_validate_and_change_with_the_tissue_mode
     assert changed.loc[fitted] != approx(scored.loc[fitted, "te_mm"], rel=1e-3)
     refusal(ConfigError, "", api.score_study, "design")
     refusal(ConfigError, "", needlefit.validate, "plan", medium=stiffer)
+
+
+@pytest.mark.sweep
+@pytest.mark.usefixtures("few_draws")
+def test_models_are_compared_by_what_they_predict_of_insertions_left_out(sampled):
+    recipe = {**RECIPE, "sample": {"independent_draws": 1000}}
+    names = [f"chicken-0{number}" for number in range(3, 8)]
+    run = needlefit.sample("twin", "chicken", tune={"insertions": names}, recipe=recipe)
+    found = needlefit.estimate_elpd(run, leave_out="insertion")
+    assert found.index.tolist() == names and (found["pareto_k"] < 0.7).all()
+    # exactly it is the evidence of all insertions, less that of the others
+    whole, rest = (
+        api.estimate_evidence("twin", "chicken", tune={"insertions": some}, recipe=recipe)["log_evidence"]
+        for some in (names, names[1:])
+    )
+    assert found["elpd"].iloc[0] == approx(whole - rest, abs=0.2)
+    for wrong in (sampled, replace(run, posteriors={})):
+        refusal(ConfigError, "", needlefit.estimate_elpd, wrong)

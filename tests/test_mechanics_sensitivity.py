@@ -18,12 +18,13 @@ from numpy.random import default_rng
 from refusals import refusal
 from space_cases import leave_plane, random_spatial_case
 
-from needlefit import Bevel, Controls, Step, Tissue, compute_positions, simulate_steps
+from needlefit import Bevel, Controls, ModelOptions, Step, Tissue, compute_positions, simulate_steps
 from needlefit.errors import ModelError
 from needlefit.mechanics.batch import (
     DERIVATIVE_KINDS,
     Batch,
     compute_batch_positions,
+    differentiate_batch_positions,
     linearize_batches,
     linearize_steps,
     simulate_batches,
@@ -111,3 +112,27 @@ def test_a_gain_scales_the_moves_of_the_base_since_contact():
         moved = Controls(base_y=0.2 + gain, base_slope=gain * 0.01)
         same = simulate_steps(NEEDLE, PHANTOM, (PAST[0], replace(PAST[1], controls=moved)))
         assert shape.tip_lateral == pytest.approx(same.tip_lateral, abs=1e-9)
+
+
+@pytest.mark.parametrize("rules", [ModelOptions(), ModelOptions(advance="path_angle")])
+def test_derivatives_from_now_on_are_differences_of_the_last_step_alone(rules):
+    rules = replace(rules, first_cell=0.4, tolerance=1e-10)  # 31.7 mm lie within a cell
+    bevel, depth = (Bevel(cut_angle=0.05) if rules.path_angle else Bevel(0.1)), np.array([45.0])
+    past = tuple(replace(step, bevel=bevel) for step in PAST)
+
+    def batch(base_y=0.0, base_slope=0.0, roll=0.0):
+        base = {"base_y": 1.2 + base_y, "base_slope": 0.01 + base_slope}
+        turned = replace(bevel, roll_deg=np.degrees(roll))
+        last = Step(45.0, turned, replace(MOVED, **base))
+        return Batch(
+            NEEDLE, PHANTOM, (*past, last), rules, mu=np.array([[0.2, 33, 0.2, 33], [0.4, 20, 0.3, 20]])
+        )
+
+    def tips(**moved):
+        return compute_batch_positions(simulate_batches([batch(**moved)], 1)[0], depth)[:, 0]
+
+    names = ("base_y", "base_slope", "roll")
+    ((shapes, jacobians),) = linearize_batches([batch()], names, 1, past=2)
+    exact = differentiate_batch_positions(shapes, jacobians, depth)[:, 0]
+    differences = [(tips(**{name: 1e-4}) - tips(**{name: -1e-4})) / 2e-4 for name in names]
+    assert exact == pytest.approx(np.stack(differences, axis=-1), rel=1e-4, abs=1e-7)

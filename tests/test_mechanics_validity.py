@@ -38,7 +38,9 @@ from needlefit.mechanics.shape import (
     find_worst,
     map_beam_points,
 )
+from needlefit.project.unit_warnings import needle_warnings
 from needlefit.schemas.limits import MAX_ELEMENT_SOLVES, MAX_ELEMENTS, MAX_GUIDES, MAX_LAYERS
+from needlefit.schemas.scene import NeedleRecord
 
 NEEDLE = Needle(150.0, 1.0216e4)
 TISSUE = Tissue(np.array([0.2, 33.0]), np.array([1.0, -1.0]), np.array([12.0]))
@@ -199,3 +201,12 @@ def test_units_are_judged_whatever_is_called(values, named):
             warnings.simplefilter("always")
             call()
         assert {str(one.message).split("`")[1] for one in found} == ({named} if named else set())
+
+
+@pytest.mark.parametrize(("modulus", "is_doubted"), [(3600, 0), (8700, 1), (17000, 0), (60000, 0), (2e5, 0)])
+def test_a_modulus_that_no_needle_has_is_warned_of(modulus, is_doubted):
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        Needle.from_tube(200, 1.27, modulus)
+    record = NeedleRecord(length_mm=200, outer_diameter_mm=1.27, youngs_modulus_gpa=modulus / 1e3)
+    assert len(found) == len([*needle_warnings(record, str)]) == is_doubted

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import shutil
 import signal
 import subprocess
@@ -322,3 +323,16 @@ def test_the_only_copy_is_restored(tmp_path):
         (fresh / "whole").touch()
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
+
+
+class Bomb:
+    def __reduce__(self):
+        return (Path.touch, (Path("was_run"),))
+
+
+@pytest.mark.parametrize("data", [pickle.dumps(Bomb()), b"\xff" * 50, b"{}", b"[" * 10_000])
+def test_a_pickle_is_not_run(tmp_path, monkeypatch, data):
+    monkeypatch.chdir(tmp_path)
+    file = kept(tmp_path / "c")
+    file.write_bytes(data)
+    assert resumed(tmp_path / "c")[0] == [] and not (tmp_path / "was_run").exists()

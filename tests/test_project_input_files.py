@@ -207,3 +207,20 @@ def test_arrays_at_the_top_of_a_file_are_those_that_toml_has(text):
 @pytest.mark.parametrize("text", ["a = [1]\na = [2]", "a = [1]\na.b = 2", "a = [1]\n[a]\nb = 2", "a = [1 2]"])
 def test_arrays_that_toml_has_not_are_refused(text):
     refused(parse_toml, text, "file", error=ConfigError)
+
+
+@pytest.mark.parametrize("name", ["./study3", "Study3", "study3x", "studies/study3", "studies/study3.toml"])
+def test_a_name_that_is_nearly_right_is_proposed(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for find in (locate.find_studies, locate.find_study_or_fit, locate.find_view_target):
+        fault = refusal(ConfigError, "did you mean `study3`", find, name)
+        assert fault.expected.startswith("one of study3, ")
+
+
+def test_a_file_nearby_is_proposed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("gel").mkdir()
+    Path("gel/gel_study.toml").touch()
+    for find in (locate.find_studies, locate.find_study_or_fit):
+        for name in ("gel_study", "./gel/gel_studi.toml"):
+            refusal(ConfigError, r"did you mean `\./gel/gel_study\.toml`", find, name)

@@ -7,8 +7,9 @@ from html.parser import HTMLParser
 import pytest
 from reporting_results import study
 
+from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_html, compile_pdf
-from needlefit.reporting.table import Table
+from needlefit.reporting.table import Table, TableColumn, TableLayout
 from needlefit.reporting.text import KindText
 from needlefit.studies.fit_figures import draw_overlays
 from needlefit.studies.report import compose_run_report
@@ -21,7 +22,7 @@ class Outline(HTMLParser):
 
     def __init__(self, page):
         super().__init__()
-        self.open, self.tags = [], []
+        self.open, self.tags, self.words = [], [], []
         self.feed(page.decode())
         self.close()
         assert self.open == []
@@ -33,6 +34,9 @@ class Outline(HTMLParser):
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
 
     def all(self, tag):
         return [attributes for name, attributes in self.tags if name == tag]
@@ -120,3 +124,19 @@ def test_a_value_is_printed_literally_wherever_it_stands(text):
     page = Document("Title", "", False, tuple(blocks))
     assert b"<b>" not in compile_html(page).partition(b"<main>")[2].replace(b"<figcaption><b>", b"")
     assert compile_pdf(page).startswith(b"%PDF")
+
+
+def test_user_text_is_escaped():
+    display = TableLayout(
+        "t",
+        "<b>bold</b>",
+        (TableColumn("<i>", align="left"), TableColumn("x")),
+        (("mu * b^-1.9", "<script>"),),
+    )
+    blocks = (document.heading("a & b"), document.table(display))
+    content = compile_html(document.Document("<u>", "", False, blocks))
+    outline = Outline(content)
+    assert not {"i", "u"} & {tag for tag, _ in outline.tags}
+    assert b"<td" in content and b"<script></td>" not in content
+    assert b"b<sup>\xe2\x88\x921.9</sup>" in content and "a & b" in outline.words
+    assert "<script>" in outline.words and "<b>bold</b>" in "".join(outline.words)

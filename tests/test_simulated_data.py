@@ -118,3 +118,13 @@ def test_a_base_that_moves_does_so_once_the_needle_is_in():
     assert compute_positions(shape, np.array([0.0]))[0, 1] > 1.0  # the tissue gives way at the entry
     (lanes,) = PreparedModel(THIN, [MOVED]).simulate([SOFT])
     assert lanes.u[0] == approx(shape.u, abs=1e-6)
+
+
+def test_a_moved_bases_needle_has_exact_derivatives():
+    parameters = Parameters.from_record(THIN)
+    theta, s = parameters.theta(SOFT), np.linspace(0.0, 40.0, 9)
+    ((_, (slopes,)),) = PreparedModel(THIN, [MOVED]).differentiate([SOFT], parameters, [s])
+    for k, move in enumerate(1e-4 * np.eye(len(theta))):
+        ends = [predict(parameters.values(theta + sign * move), THIN, MOVED) for sign in (1, -1)]
+        by = (compute_positions(ends[0], s) - compute_positions(ends[1], s)) / 2e-4
+        assert slopes[:, :, k] == approx(by, rel=1e-3, abs=1e-6)
