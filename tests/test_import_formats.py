@@ -343,7 +343,7 @@ def test_labels_of_one_list_name_needles():
         ([""] * 6, [6]),
     ],
 )
-@pytest.mark.parametrize("suffix", [".mrk.json", ".fcsv"])
+@pytest.mark.parametrize("suffix", [".mrk.json", ".json", ".fcsv"])
 def test_labels_are_grouped_only_where_they_name_needles(tmp_path, labels, sizes, suffix):
     file = tmp_path / f"F{suffix}"
     if suffix == ".fcsv":

@@ -32,6 +32,8 @@ class FileFormat:
         Path -> places of markers, (N, 3); None: the format holds none.
     in_scan : bool
         Whether its coordinates are those of the scan, LPS, and not of the world.
+    is_of_format : callable
+        Path -> whether a file with one of these endings is of this format.
     """
 
     name: str
@@ -40,6 +42,7 @@ class FileFormat:
     read_centerline: Callable[[Path, Mapping[str, str], list[Fault]], Points | None] | None = None
     read_markers: Callable[[Path], Points] | None = None
     in_scan: bool = False
+    is_of_format: Callable[[Path], bool] = lambda path: True
 
     def read_one(self, path: Path, columns: Mapping[str, str], faults: list[Fault]) -> Points | None:
         """Return the one curve of a file; None after a fault, which is added to `found`."""
@@ -62,12 +65,12 @@ FORMATS = Registry(FileFormat, __name__, "file format")
 def find_format(path: Path) -> FileFormat | None:
     """Return the format of a file by its ending, the longest that is known; None if there is none.
 
-    ConfigError if two formats have this ending.
+    Formats that share an ending look into the file. ConfigError if it may be of two.
     """
     name = path.name.lower()
     matches = [(len(end), form) for form in FORMATS.values() for end in form.suffixes if name.endswith(end)]
     longest = max((length for length, _ in matches), default=0)
-    forms = [form for length, form in matches if length == longest]
+    forms = [form for length, form in matches if length == longest and form.is_of_format(path)]
     if len(forms) > 1:
         raise ConfigError(
             f"`{path.name}` may be of two file formats: {' and '.join(form.name for form in forms)}",

@@ -8,6 +8,7 @@ import numpy as np
 
 from needlefit.datasets.fields import FieldReader
 from needlefit.datasets.formats import FileFormat, ReadCurves
+from needlefit.datasets.formats.markups import holds_markups
 from needlefit.errors import DataError
 from needlefit.project.input_files import parse_json, read_json, read_text
 
@@ -24,9 +25,6 @@ def read_curves(path: Path) -> ReadCurves:
     reader, is_whole = FieldReader("field"), path.suffix.lower() == ".json"
     if is_whole:
         objects, name = _to_arrays(read_json(path), str(path)), ""
-        if isinstance(objects, dict) and "markups" in objects:
-            fix = f"rename it to {path.stem}.mrk.json"
-            raise DataError("holds markups of 3D Slicer", expected="their ending", fix=fix, where=path)
     else:
         lines = [
             (f"{path}:{n}", line) for n, line in enumerate(read_text(path).split("\n"), 1) if line.strip()
@@ -65,4 +63,9 @@ def _to_arrays(value: Any, where: str, depth: int = 0) -> object:  # noqa: ANN40
     return array if array.dtype.kind in "iuf" else [_to_arrays(part, where, depth + 1) for part in value]
 
 
-JSONL = FileFormat("jsonl", (".jsonl", ".ndjson", ".json"), read_curves)
+JSONL = FileFormat(
+    "jsonl",
+    (".jsonl", ".ndjson", ".json"),
+    read_curves,
+    is_of_format=lambda path: not holds_markups(path),
+)

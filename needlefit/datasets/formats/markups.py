@@ -213,6 +213,17 @@ def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups
     return Markups(path, name, str(kind), labels, values, stated, tuple(unset), notes)
 
 
+def holds_markups(path: Path) -> bool:
+    """Whether a file is one of Slicer by its ending, or a `.json` file by what it holds."""
+    if path.suffix.lower() != ".json" or path.name.lower().endswith(".mrk.json"):
+        return path.suffix.lower() in (".json", ".fcsv")
+    try:
+        whole = _read_lists(path)
+    except DataError:
+        return False
+    return isinstance(whole, dict) and "markups" in whole
+
+
 def read_plane(path: Path) -> Points:
     """Return the points of the one plane or list of a file; DataError if there are several."""
     return Points(path, pick_list(read_markups(path, with_planes=True), path).points)
@@ -220,7 +231,7 @@ def read_plane(path: Path) -> Points:
 
 def is_plane(path: Path) -> bool:
     """Whether a file holds one plane of Slicer, and nothing else."""
-    is_markups = path.name.lower().endswith(".mrk.json")
+    is_markups = path.suffix.lower() == ".json" and holds_markups(path)
     return is_markups and [markups.kind for markups in read_markups(path, with_planes=True)] == ["Plane"]
 
 
@@ -277,11 +288,12 @@ def _read_centerline(path: Path, _columns: Mapping[str, str], _found: list[Fault
 
 MARKUPS = FileFormat(
     "markups",
-    (".mrk.json", ".fcsv"),
+    (".mrk.json", ".json", ".fcsv"),
     _read_curves,
     _read_centerline,
     lambda path: Points(path, pick_list(read_markups(path), path).points),
     in_scan=True,
+    is_of_format=holds_markups,
 )
 
 
