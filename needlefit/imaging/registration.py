@@ -32,11 +32,11 @@ from needlefit.imaging.constants import PART, SD
 # Location named in errors of a single set.
 FOUND_SET = "markers found in the scan"
 KNOWN_SET = "known markers"
-# Probability of an error that is tolerated: that the noise as stated makes the right pairing look too bad, or
-# that another one is right.
-ERROR_PROBABILITY = 1e-4
+# Probability that the noise as stated makes the right pairing look too bad to be believed.
+FALSE_ALARM_PROBABILITY = 1e-4
+MAX_WRONG_PAIRING_PROBABILITY = 1e-3  # of another pairing that is tolerated
 # Chi-squared by which an alternative must be worse to leave no more than that doubt.
-MIN_CHI2_GAP = 2 * np.log(1 / ERROR_PROBABILITY)
+MIN_CHI2_GAP = 2 * np.log(1 / MAX_WRONG_PAIRING_PROBABILITY)
 MAX_PAIRINGS = 50_000  # pairings that are kept at once; beyond, the markers are too alike or too many
 MAX_TURN_SD_RAD = 0.1  # deviation of a turn, rad, from which on the markers count as lying on a line
 LAYOUT_FIX = (
@@ -100,11 +100,11 @@ def register(
             where="markers",
         )
     odds = sum(np.exp((best.chi2 - other.chi2) / 2) for other in others)
-    if odds / (1 + odds) > ERROR_PROBABILITY:
+    if odds / (1 + odds) > MAX_WRONG_PAIRING_PROBABILITY:
         raise DataError(
             f"{1 + len(others)} pairings of {len(best.pairs)} markers are likely, the best two leave "
             f"{best.fre:.2f} and {others[0].fre:.2f} mm",
-            expected=f"one pairing that is {1 / ERROR_PROBABILITY:.0f} times as likely as all others",
+            expected="one pairing that is at least 1000 times as likely as all others together",
             fix="move or add a marker so that no two distances are alike",
             where="markers",
         )
@@ -122,7 +122,7 @@ def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registr
     least = max(4, int(np.ceil(PART.PAIRED * most)))
     changes = cdist(found, found)[:, None, :, None] - cdist(known, known)[:, None]
     for count in (most, *range(most - 1, least - 1, -1)):
-        limit = float(chdtri(3 * count - 6, ERROR_PROBABILITY))  # that a right pairing hardly exceeds
+        limit = float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))  # that a right pairing hardly exceeds
         # two pairs of variances v that change a distance by D cost at least D^2 / (v_1 + v_2) in chi-squared
         near = changes**2 <= (limit + MIN_CHI2_GAP) * (variance[..., None, None] + variance)  # (M, N, M, N)
         listed = [np.array(pairs) for pairs in islice(list_pairings(near, count), MAX_PAIRINGS + 1)]

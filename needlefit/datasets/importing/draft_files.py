@@ -9,7 +9,7 @@ from itertools import permutations
 from pathlib import Path
 
 from needlefit.datasets.formats import FORMATS
-from needlefit.datasets.formats.markups import MARKUPS, is_plane, read_markups
+from needlefit.datasets.formats.markups import holds_markups, is_plane, read_markups
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.draft_entries import draft_entries
 from needlefit.datasets.importing.examples import EXAMPLE_SHEET
@@ -105,7 +105,7 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
 def _ask_markups(path: Path, table: Table, draft: Draft, files: Sequence[Path]) -> None:
     """Ask about a list of Slicer with few points, perhaps of a boundary, or named as other needles."""
     key = f"tables.{len(draft.tables)}.holds"
-    if not path.name.endswith(MARKUPS.suffixes) or (key, "shapes") in draft.numbered:
+    if not holds_markups(path) or (key, "shapes") in draft.numbered:
         return
     for name, count in Counter(row[0] for row in table.rows).items():
         if count < MIN_POINTS:
