@@ -205,6 +205,9 @@ def explain(changes: Iterable[Change], search: Search, nothing: float) -> Explan
         deviations, sd = search(change)
         odds = {size: change.compute_odds(size, left) - nothing for size, left in deviations.items()}
         size = max(odds, key=lambda size: odds[size])
+        # another unit is the usual mistake: any other size must be far more probable than that
+        units = {unit: odds[unit] for unit in change.units if odds[unit] > odds[size] - MIN_LOG_ODDS}
+        size = max(units, key=lambda unit: units[unit], default=size)
         sd *= math.sqrt(deviations[size].misfit)
         rows.append(Explanation(change, size, sd, deviations[size].sds, odds[size]))
     right = [row for row in rows if math.isfinite(row.sds)]
