@@ -24,6 +24,7 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.problem import find_outside_validity
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.study import StudyRecord
+from needlefit.studies.kinds.cross_validation import run as cross_validation_run
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.score import Scorer, curve_predictor, make_predictors, model_predictor
 from needlefit.studies.validity import list_outside, tabulate_validity
@@ -308,3 +309,16 @@ def test_a_tie_shares_its_sources_verdict_times_its_factor(project):
     assert math.isnan(mu2["sd"]) and mu1["sd"] > 0
     assert [mu1["bound_low"], mu1["bound_high"]] == [3e4, 3e6] and math.isnan(mu2["bound_low"])
     assert rows.loc["alpha1", "note"].startswith("fixed") and rows.loc["alpha1", "determined"] == ""
+
+
+@pytest.mark.usefixtures("few_draws")
+def test_a_run_that_is_stopped_while_it_is_repeated_without_a_needle_is_interrupted(project, monkeypatch):
+    asked = []
+
+    def list_first(done, job):
+        asked.append(done)
+        return [job.insertions[0].id]
+
+    monkeypatch.setattr(cross_validation_run, "list_doubtful", list_first)
+    found = run("clean", study(), Settings(stop=lambda: bool(asked)))
+    assert not asked[0].interrupted and found.interrupted and "effect" not in found.metadata.model_dump()

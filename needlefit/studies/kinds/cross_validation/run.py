@@ -73,7 +73,9 @@ def run(name: str, record: FitRecord, settings: Settings) -> Run:
     quiet = replace(settings, first=no_note, sample=False)
     progress = StudyProgress(others, settings.progress)
     repeated = run_folds(others, replace(services, settings=quiet, progress=progress))
-    if not repeated or repeated[0].mode is None or repeated[-1].interrupted:
+    if not repeated or repeated[-1].interrupted:  # what these needles change is not known yet
+        return replace(concluded, interrupted=True)
+    if repeated[0].mode is None:
         return concluded
     effect = measure_effect(concluded, conclude_run(others, work, repeated), doubtful, job, results, repeated)
     return concluded.with_metadata(effect=effect)
