@@ -209,23 +209,22 @@ class Specimen:
         return np.atleast_2d(np.cov(self.centres.T, bias=True)) + self.kernel
 
     @cached_property
-    def _products(self) -> Floats:
-        """The products of coordinates (K, Q^2) of the centres about their mean."""
+    def _about_mean(self) -> tuple[Floats, Floats]:
+        """The centres (K, Q) about their mean, and the products (K, Q^2) of their coordinates."""
         away = self.centres - self.mean
-        return (away[:, :, None] * away[:, None, :]).reshape(len(away), -1)
+        return away, (away[:, :, None] * away[:, None, :]).reshape(len(away), -1)
 
     def log_densities(self, means: Floats, covariances: Floats) -> Floats:
         """Return ln N( c_k; m, H + T ) (W, K) of means (W, Q) and covariances T (W, Q, Q).
 
         The squared distances are products of matrices: residuals (W, Q, K) would take ten times as long.
         """
+        centres, products = self._about_mean
         whole = self.kernel + covariances
         precisions = np.linalg.inv(whole)
         away = means - self.mean
         pulls = (precisions @ away[:, :, None])[..., 0]
-        logs = (
-            pulls @ (self.centres - self.mean).T - 0.5 * precisions.reshape(len(means), -1) @ self._products.T
-        )
+        logs = pulls @ centres.T - 0.5 * precisions.reshape(len(means), -1) @ products.T
         constants = np.sum(pulls * away, axis=1) + np.linalg.slogdet(whole)[1]
         logs -= 0.5 * constants[:, None]
         return logs
