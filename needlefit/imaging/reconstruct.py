@@ -554,7 +554,7 @@ def examine(
     search, moved = search or VolumeSearch(volume, recipe), scan.corrections or Corrections()
     volume, found = search.volume, Examination(scan, report=report)
     control_points = [np.atleast_2d(places) for places in vars(moved).values() if places is not None]
-    with found.step():
+    with found.step(), located("corrections"):
         require_inside(volume, np.vstack([np.empty((0, 3)), *control_points]), "control points")
     with found.step():
         require_hounsfield(volume, str(scan.volume))
