@@ -133,9 +133,7 @@ class PART:
     BALL_ELONGATION = 2.0  # longest over shortest extent of what may be a ball
     NEGLIGIBLE = 0.02  # of a scan's voxels that are air, of a layer's volume in islands and cavities
     PAIRED = 0.6  # of the smaller set of markers: few among many are part of something else
-    # Of a fit's cost and parameters, at which it ends, as an end then moves by less than 0.01 mm; the step of
-    # derivatives
-    TOLERANCE = 1e-3
+    TOLERANCE = 1e-3  # of a fit's cost and parameters, at which it ends: an end moves by less than 0.01 mm
 
 
 class SD:

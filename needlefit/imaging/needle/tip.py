@@ -122,6 +122,7 @@ SPREAD = slice(7, 10)
 START_ENDS_MM = np.arange(-0.8, 0.9, 0.4)  # around the first guess, at which the bevel's side is tried
 ROUGH_STEPS = 8  # of a first fit, and of fits to slices
 STEPS = 30  # of a last fit
+DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
 ROLL_FACTOR = 3.0  # of the roll's deviation: artefacts near the tip
 ROLL_SD = 0.15  # of the roll, rad, that no residual shows
@@ -253,7 +254,7 @@ class TipProblem:
             loss="soft_l1",
             f_scale=SD.DISAGREEMENT,
             x_scale=PARAMETER_SCALES,
-            diff_step=np.array(PART.TOLERANCE),
+            diff_step=DERIVATIVE_STEP,
             ftol=PART.TOLERANCE,
             xtol=PART.TOLERANCE,
             gtol=PART.TOLERANCE,
