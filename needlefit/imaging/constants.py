@@ -47,6 +47,7 @@ class HU:
     STEP = 20.0  # least change inside soft material, and of air in a narrow gap from its level [R]
     METAL = 1000.0  # bone of a hand is darker, metal and glass are brighter
     METAL_CONTRAST = 500.0  # by which metal stands out from tissue, and tissue from air, at least
+    HUB = 1500.0  # of a metal hub, least [S]
     CLIPPED = 3071.0  # the largest number of 12 bits; streaks beyond a tip are less bright or dark
 
 
@@ -66,7 +67,8 @@ class MM:
     # to the volume's face has left it, and so far behind its bevel its tip is fitted
     EDGE_BLUR = 3.0
     EDGE_SD = 0.02  # of an edge that no scatter shows: a kernel's sides are not alike [G]
-    PIECE = 5.0  # least length of foam or lung, and of shaft outside the tissue that shows an axis
+    FOAM = 5.0  # least length of foam or lung: a shorter run between air and tissue is their blur
+    SHAFT = 5.0  # least length of shaft outside the tissue that shows an axis
     REACH = 80.0  # along the needle to the tissue's surface, or to a hub
     # Of what a scanner shows of an end, which the model does not: of a tip, across it, and of a guide's faces
     MODEL_SD = 0.05  # [R] [G]
@@ -111,6 +113,7 @@ class PART:
     THRESHOLDS = (0.4, 0.25, 0.15, 0.7)
     BRIGHTEST = 0.97  # of the brightest of something, beyond which all is as bright
     FAINT = 0.3  # of a needle's brightness: fainter sections show none
+    FIRST_NOISE = 0.05  # of a ball's brightness, before the noise is known
     SHOWN = 0.5  # of a cross-section in the volume, and of the way between points on which a needle shows
     CLEAR_SOFT = 2.0  # of soft lengths at both ends, of which the longer is the tip's
     CHORD_COSINE = 0.5  # of the axis to its chord: steered needles bend by 90 degrees in all
@@ -120,7 +123,7 @@ class PART:
     FLATNESS = 1.15  # voxels' length over width of a scanner's slices; those of cone beams are cubes
     HUB_RADIUS = 1.8  # least, over the needle's diameter
     BOX = 0.8  # of the variance of a slice's profile: the rest is a Gaussian's
-    SIGNAL_ERROR = 0.04  # of what a voxel shows of metal, or a ball: the model's own error [R]
+    SIGNAL_ERROR = 0.04  # of what a voxel shows of metal: the model's own error [R]
     # Of the voxels' spacing along the needle, at its tip: of ten volumes of [G] errors are 0.92 of what this
     # states, in root mean square
     TIP_SD = 0.11
@@ -131,7 +134,8 @@ class PART:
     SLICE_SD = 0.02
     BALL_DIAMETERS = (0.65, 1.45)  # of a ball of as many voxels over that sought [R]
     BALL_ELONGATION = 2.0  # longest over shortest extent of what may be a ball
-    NEGLIGIBLE = 0.02  # of a scan's voxels that are air, of a layer's volume in islands and cavities
+    AIR = 0.02  # of a scan's voxels, beyond which its air shows
+    LOOSE = 0.02  # of a layer's volume in islands and cavities, that is not spoken of
     PAIRED = 0.6  # of the smaller set of markers: few among many are part of something else
     TOLERANCE = 1e-3  # of a fit's cost and parameters, at which it ends: an end moves by less than 0.01 mm
 

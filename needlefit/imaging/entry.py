@@ -79,10 +79,10 @@ def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
     DataError if too little of the shaft shows.
     """
     use = shaft.s < -MM.BLUR_CORE
-    if usable_length(shaft) < MM.PIECE:
+    if usable_length(shaft) < MM.SHAFT:
         raise DataError(
             f"{usable_length(shaft):.1f} mm of the shaft show outside the tissue, too few to draw its axis",
-            expected=f"at least {MM.PIECE:g} mm, or the pose of the stage",
+            expected=f"at least {MM.SHAFT:g} mm, or the pose of the stage",
             fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle",
         )
     s, points, sd = shaft.s[use], shaft.points[use], shaft.sd[use]

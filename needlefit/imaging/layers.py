@@ -98,7 +98,7 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
         make_id(f"layer {layer} {name}".strip(), ""), points, faces.astype(np.int64), layer
     )
     place = f"layer {layer}{f' ({name})' if name else ''}" + " and those beyond" * (not last)
-    if loose > PART.NEGLIGIBLE:
+    if loose > PART.LOOSE:
         raise DataError(
             f"{place} fall{'s' * last} apart: islands or cavities of {100 * loose:.0f} "
             "% of the largest piece",

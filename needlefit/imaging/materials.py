@@ -69,7 +69,7 @@ def find_runs(profile: IntensityProfile, least: float = MM.BLUR_REACH) -> tuple[
         return ()
     step = float(np.median(np.diff(s)))
     kinds = np.where(values > HU.METAL, 2, np.where(values < HU.GAP, 0, 1))
-    foam = np.ones(1 + round(MM.PIECE / step), bool)
+    foam = np.ones(1 + round(MM.FOAM / step), bool)
     kinds[binary_opening((values > HU.LIGHT) & (kinds == 0), foam)] = 1
     bloom = np.ones(1 + 2 * round(MM.BLUR_REACH / step), bool)
     kinds[binary_dilation(kinds == 2, bloom) & (kinds == 1)] = 2

@@ -401,7 +401,7 @@ def estimate_first_contact(
     if stage is None:
         shaft = move_to_surface(pose_from_shaft(outside, along_sd), surfaces)
         return shaft, shaft
-    if usable_length(outside) < MM.PIECE:
+    if usable_length(outside) < MM.SHAFT:
         return stage, None
     other = pose_from_shaft(outside, along_sd)
     compare_poses(stage, other)

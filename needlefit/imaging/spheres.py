@@ -176,7 +176,7 @@ def _fit_model(near: SphereVoxels, first: Floats) -> tuple[Floats, Floats, Float
     """
     count, noise = (
         len(near.values),
-        PART.SIGNAL_ERROR * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL]),
+        PART.FIRST_NOISE * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL]),
     )
     best = _minimize(near, first, noise)
     noise = max(1.0, noise * robust_sd(best.fun[:count]))

@@ -28,7 +28,7 @@ def find_hub(volume: Volume, points: Floats, diameter: float) -> Hub | None:
         start = middle + way * ((points[0] - middle) @ way)
         where = frames_along(start + s[:, None] * way)
         values = sample_planes(volume, where, plane)
-        bright = np.nan_to_num(values, nan=-np.inf) > PART.SHOWN * HU.CLIPPED
+        bright = np.nan_to_num(values, nan=-np.inf) > HU.HUB
         radius = side * np.sqrt(bright.mean(axis=1))
         wide = np.append(radius > PART.HUB_RADIUS * diameter, False)
         first = int(np.argmax(wide))

@@ -11,8 +11,10 @@ centres of cross-sections 0.007), their tips 0.30 and 0.34 mm too far (by `tip` 
 9.9 s of processor each (0.33).
 """
 
+from copy import copy
 from dataclasses import replace
 from itertools import cycle
+from typing import Self
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -86,13 +88,11 @@ def place_in_slices(
     hub = find_hub(volume, points, needle.diameter_mm)
     hub = hub and replace(hub, ends=(hub.ends - origin) @ frame.T)
     for _ in range(MAX_FITS):
-        coarse, problem = (
-            _SliceProblem(volume, needle, frame, origin, (x, y, z), spread, hub, rough)
-            for rough in (ROUGH, 1.0)
-        )
+        problem = _SliceProblem(volume, needle, frame, origin, (x, y, z), spread, hub)
         if np.count_nonzero(problem.seen.any(axis=0)) < 2 * len(problem.start):
             return None
-        theta, covariance, error = problem.solve(coarse.search())
+        start = problem.place_rod(ROUGH).search()
+        theta, covariance, error = problem.place_rod(1.0).solve(start)
         across, along, (end, roll), scan = problem.split(theta)
         transparent = scan[0] < problem.means[0] - SD.DISAGREEMENT * problem.sds[0]
         if transparent and hub is None and error > PART.END_MISFIT:
@@ -141,6 +141,11 @@ class _SliceProblem:
     Parameters: coefficients of the axis across and along the normal, end, the bevel's roll, and the scan's.
     """
 
+    to_columns: Floats  # (columns, C) from coefficients to the axis at the pieces of the rod
+    end: float  # about where the needle ends, mm
+    rod: Rod
+    held: csr_array  # the hub on the rays
+
     def __init__(
         self,
         volume: Volume,
@@ -150,12 +155,8 @@ class _SliceProblem:
         axis: tuple[Floats, Floats, Floats],
         spread: PointSpread | None,
         hub: Hub | None,
-        rough: float,
     ) -> None:
-        """Sample slices around `axis` (x, y, z) and `hub`, both in `frame` (3, 3) from `origin`, mm.
-
-        Pieces of the rod, and the angles of the views, are larger by the factor `rough`.
-        """
+        """Sample slices around `axis` (x, y, z) and `hub`, both in `frame` (3, 3) from `origin`, mm."""
         x, y, z = axis
         thick, radius = volume.grid.slice_distance, needle.diameter_mm / 2
         knots = make_knots(x[0], x[-1], KNOT_FACTOR * MM.KNOT)
@@ -196,25 +197,32 @@ class _SliceProblem:
         shear = basis.derivative(3)((unique[1:] + unique[:-1]) / 2)
         bent = np.vstack([shear, basis.derivative(2)(unique[-1:]) / MM.END_MOMENT])
         self.bent = bent * moment / SHEAR_SD_MM2  # (J, C) from coefficients to shear forces, in deviations
-        self.hub, self.thick = hub, thick
-        step = rough * COLUMN_MM
-        columns = np.arange(x[-1] + MM.BEYOND_END, x[-1] - needle.length_mm, -step)
-        self.to_columns = _extend(basis, columns)  # (columns, C)
-        # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
-        true = np.tan(np.radians(needle.bevel_deg))
-        steep = min(true, needle.diameter_mm / step)
-        # about where the needle ends; a bevel that projects as the end does reaches farther, mm
-        self.end = x[-1] + radius / steep - radius / true
-        self.rod = Rod(columns, radius, steep, thick, slices * thick, stations, side, rough * VIEW_STEP)
-        if hub is not None:
-            (back, front) = hub.ends
-            across, along = (np.interp(columns, [back[0], front[0]], [back[n], front[n]]) for n in (1, 2))
-            self.held = self.rod.lengths(across, along, float(front[0]), 0.0, (float(back[0]), hub.radius))
+        self.hub, self.thick, self.needle = hub, thick, needle
+        self.last, self.heights, self.stations, self.side = x[-1], slices * thick, stations, side
         expected = spread or expected_spread(thick)
         profile = np.log(expected.weigh_planes(SENSITIVITY_AT[1:] * thick))
         # what is known of the parameters of the scan (11,), and its deviations
         self.means = np.concatenate([np.log([part.value for part in BEAM]), expected.parameters[:2], profile])
         self.sds = np.concatenate([[part.sd for part in BEAM], expected.sds[:2], PROFILE_SDS])
+
+    def place_rod(self, rough: float) -> Self:
+        """Return the problem of a rod in these samples; pieces, and angles of the views, grow by `rough`."""
+        placed, radius, step = copy(self), self.needle.diameter_mm / 2, rough * COLUMN_MM
+        columns = np.arange(self.last + MM.BEYOND_END, self.last - self.needle.length_mm, -step)
+        placed.to_columns = _extend(self.basis, columns)
+        # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
+        true = np.tan(np.radians(self.needle.bevel_deg))
+        steep = min(true, 2 * radius / step)
+        # a bevel that projects as the end does reaches farther
+        placed.end = self.last + radius / steep - radius / true
+        slices = self.thick, self.heights, self.stations, self.side
+        placed.rod = rod = Rod(columns, radius, steep, *slices, rough * VIEW_STEP)
+        if self.hub is not None:
+            (back, front) = self.hub.ends
+            across, along = (np.interp(columns, [back[0], front[0]], [back[n], front[n]]) for n in (1, 2))
+            held = float(back[0]), self.hub.radius
+            placed.held = rod.lengths(across, along, float(front[0]), 0.0, held)
+        return placed
 
     def split(self, theta: Floats) -> list[Floats]:
         """Return the parameters of each kind."""
