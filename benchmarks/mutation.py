@@ -91,7 +91,7 @@ AREAS = {
         ("inference/predict.py", "inference/point_prediction.py", "inference/track_predictions.py"),
         (
             *("inference_predict", "point_predictions", "inference_tracks", "inference_space"),
-            *("validation_heldout", "prior_forecast"),
+            "validation_heldout",
         ),
     ),
     "bands": Area(

@@ -1,9 +1,8 @@
 """Commands that run studies: tune, validate, predict."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -15,15 +14,10 @@ from needlefit.cli.options import (
     name_changes,
     name_parameters,
     option,
-    read_numbers,
     scene_record,
     split_pair,
     split_values,
 )
-
-if TYPE_CHECKING:
-    from needlefit.planning.prior_forecast import PriorForecast
-    from needlefit.schemas.scene import SceneRecord
 
 
 def tune(
@@ -151,33 +145,11 @@ def validate(
 
 def predict(
     context: typer.Context,
-    target: Annotated[
-        str | None,
-        argument("TARGET", "A study, a fit, a path, or the folder of a run; none with --medium."),
-    ] = None,
+    target: options.Target,
     scene: Annotated[
         str | None,
         option("The planned insertion: a name or a path (default: as the deepest fitted one).", "SCENE"),
     ] = None,
-    medium: Annotated[
-        str | None,
-        option(
-            "Before any data: a tissue model, or published media, one for all layers or one for each: "
-            "gelatine,liver.",
-            "FILE|NAMES",
-        ),
-    ] = None,
-    aim: Annotated[
-        str | None,
-        option("With --medium: target in the constraint frame, mm (default: median tip).", "X,Y[,Z]"),
-    ] = None,
-    radius: Annotated[
-        float, option("With --medium: distance from it that counts as a hit.", "MM", min=0.01)
-    ] = 2.0,
-    pose_sd: Annotated[
-        str,
-        option("With --medium: standard deviations of entry point and direction, per axis.", "MM,DEGREES"),
-    ] = "0.5,0.5",
     specimen: options.Specimen = None,
     depth: options.Depth = None,
     set_: options.Changes = None,
@@ -190,18 +162,9 @@ def predict(
     agree with the fit. Repeats the verdict and failed checks of OUT/TARGET, prints the tip with its
     intervals, and writes shape and figure to OUT/predict-TARGET-SCENE/ (default: ./reports). With --depth,
     --set or --specimen the folder is named after these too: predict-study3-study3-depth_mm=60.
-
-    With --medium and no TARGET: the spread of the tip before any data, the chance of a hit, and which
-    parameter, or error of the entry pose, dominates.
     """
     changes = set_ or []
     keys = [key for key, value in map(split_pair, changes) if value]
-    if medium is not None or target is None:
-        if medium is None or target is not None or scene is None:
-            raise typer.BadParameter("give a TARGET, or --medium with --scene", param_hint="TARGET")
-        named_scene = scene_record(scene, depth, changes)
-        _predict_before_data(context, named_scene, keys, medium, aim, radius, pose_sd)
-        return
     with begin(context) as execution:
         from needlefit.inference.parameter_changes import load_changed_medium
         from needlefit.project.input_files import is_file
@@ -246,115 +209,3 @@ def predict(
         )
     show_result(execution, predicted, {"scene": scene, "written": str(execution.folder(name))})
     require_no_faults(f"{target_name}: {fault}" for fault in predicted.faults)
-
-
-# ---- `predict --medium`: the tip of a planned insertion before any data, by priors alone
-
-_POSE_ERRORS = {"pose_shift_mm": "place of the entry", "pose_angle_deg": "direction at the entry"}
-MIN_SHOWN_SHARE = 0.005  # smallest share of the tip's variance of a parameter that is listed
-
-
-def _predict_before_data(
-    context: typer.Context,
-    scene: "tuple[str, SceneRecord]",
-    changed: Sequence[str],
-    medium: str,
-    aim: str | None,
-    radius: float,
-    pose_sds: str,
-) -> None:
-    """Print where the tip of a scene will be by draws from the priors of a tissue model, or published moduli.
-
-    `scene`: what messages call it, and its keys, of which the user `changed` some.
-    """
-    from needlefit.mechanics.published import read_moduli
-    from needlefit.planning.prior_forecast import describe_published, forecast_by_prior, list_published
-    from needlefit.project.locate import is_path, list_names, unknown_name_error
-    from needlefit.project.toml import find_named, load
-    from needlefit.schemas.medium import MediumRecord
-    from needlefit.studies.kinds.prediction.scene import make_scene
-
-    name, planned = scene
-    if published := list_published(medium):
-        model = describe_published(published, len(planned.layers), planned.rules.advance)
-    elif is_path(medium) or medium in (media := list_names("medium")):
-        model = load(find_named("medium", medium), MediumRecord)
-    else:
-        raise unknown_name_error("medium", medium, [*media, *read_moduli()])
-    target = None if aim is None else read_numbers(aim, (2, 3), "--aim", "X,Y or X,Y,Z")
-    shift, angle = map(abs, read_numbers(pose_sds, (2, 2), "--pose-sd", "SHIFT,DEGREES"))
-    planned_scene = make_scene(planned, name, model, changed)
-    forecast = forecast_by_prior(
-        planned_scene, model, radius, target, context.find_root().obj.seed or 1, (shift, angle)
-    )
-    if context.find_root().obj.json:
-        sources = [source._asdict() for source in published]
-        screen.show_json(
-            {"scene": name, "medium": medium, **_summarize_forecast(forecast, radius), "sources": sources}
-        )
-        return
-    _show_forecast(forecast, radius, "median tip" if target is None else "target")
-    for source in published:
-        screen.print_text(
-            f"{source.name}: {source.quantity} {source.low:g} to {source.high:g} kPa ({source.source})."
-        )
-    if published:
-        screen.print_text("A fitted μ may differ: it is no material constant.")
-
-
-def _summarize_forecast(forecast: "PriorForecast", radius: float) -> dict[str, object]:
-    ends = ("median", "low", "high")
-    return {
-        **{
-            f"tip_{axis}_mm": dict(zip(ends, forecast.interval(n), strict=True))
-            for n, axis in enumerate("xyz")
-        },
-        "target_mm": forecast.target.tolist(),
-        "radius_mm": radius,
-        "hits": forecast.hits,
-        "parameters": [
-            {
-                "parameter": name,
-                "low": forecast.priors[name][0],
-                "high": forecast.priors[name][1],
-                "share": share,
-            }
-            for name, share in forecast.shares.items()
-        ],
-        "draws": len(forecast.tips),
-        "failed": forecast.failed,
-        "outside_validity": forecast.outside,
-    }
-
-
-def _show_forecast(forecast: "PriorForecast", radius: float, aim: str) -> None:
-    """Print the tip, the chance of a hit, and the parameters that matter."""
-    import pandas as pd
-
-    from needlefit.reporting.number_format import format_bare_symbol, format_quantity_range
-
-    places = []
-    for axis, (median, low, high) in (("y", forecast.interval(1)), ("z", forecast.interval(2))):
-        if axis == "y" or high > low:
-            places.append(f"{axis} = {median:z.2f} mm (95 % interval {low:z.2f} to {high:z.2f} mm)")
-    first, most = next(iter(forecast.shares.items()))
-    subject = f"The {_POSE_ERRORS[first]}" if first in _POSE_ERRORS else format_bare_symbol(first)
-    names = {name: _POSE_ERRORS.get(name) or format_bare_symbol(name) for name in forecast.shares}
-    screen.print_text(
-        f"Before any data the tip is predicted at {', '.join(places)}. It ends within {radius:g} mm of the "
-        f"{aim} in {100 * forecast.hits:.0f} % of {len(forecast.tips)} draws. {subject} "
-        f"dominates: {100 * most:.0f} % of the variance of the tip."
-    )
-    rows = [
-        {
-            "parameter": names[name],
-            "95 % of its prior": format_quantity_range(name, *forecast.priors[name]),
-            "part of the variance": f"{100 * share:.0f} %",
-        }
-        for name, share in forecast.shares.items()
-        if share >= MIN_SHOWN_SHARE
-    ]
-    screen.show_frame(pd.DataFrame(rows), "")
-    if forecast.failed or forecast.outside:
-        outside = f"{forecast.outside} needles are outside what the model assumes"
-        screen.print_text(f"{forecast.failed} draws cannot be solved; {outside}.")
