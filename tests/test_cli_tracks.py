@@ -2,12 +2,13 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from test_cli import run
-from track_cases import DEPTH, GUIDE, GUIDE_Z, NEEDLE, measured, measured_in_space, track, written
+from track_cases import DEPTH, GUIDE, GUIDE_Z, NEEDLE, TOML, measured, measured_in_space, track, written
 from world import PROJECT
 
 from needlefit.mechanics.control import Bevel, Controls, Guide
@@ -128,6 +129,26 @@ def test_a_planned_needle_is_predicted_from_runs(project):
     gel = Tissue(np.array([0.03]), np.array([1.0]), np.empty(0), np.array([40.0]))
     truth = simulate(NEEDLE, gel, Bevel(0.03), 50.0, Controls(guides=(Guide(-20.0),))).tip_lateral
     assert forecast["low_mm"].iloc[-1] < truth < forecast["high_mm"].iloc[-1]
+
+
+@pytest.mark.sweep
+@pytest.mark.usefixtures("few_draws")
+def test_runs_into_a_specimen_are_predicted_from_runs_into_others(project):
+    """Each fold fits two gels, which differ, and knows nothing of the third but their spread."""
+    gels, runs = ("gel", "gel2", "gel3"), []
+    for n, gel in enumerate(gels):
+        of_gel = (measured(track(f"{gel}-{k}", 0 * GUIDE), k, 0.01 * k, 10 * n + k) for k in range(2))
+        runs += [replace(one, medium=gel) for one in of_gel]
+    written(project / "data/mine", runs, TOML + "[media.gel2]\n[media.gel3]\n")
+    text = STUDY.split("[[folds]]")[0].replace("same_specimen = true", 'leave_out = "specimen"')
+    (project / "studies/mine.toml").write_text(text)
+    assert run("validate mine --jobs 1 -q") in (0, 5)
+    table = pd.read_csv(project / "reports/mine/predictive.csv").query("quantity == 'tip' and level == 0.95")
+    assert table["fold"].tolist() == [f"without {gel}" for gel in gels for _ in range(2)]
+    assert {*table["specimen_treatment"]} == {"others"} and {*table["other_specimens"]} == {2}
+    assert table["covered"].all() and (table["between_sd_ln_mu"] > 0.05).all()
+    errors = pd.read_csv(project / "reports/mine/errors.csv").query("role == 'validate'")
+    assert errors.groupby("method").size().eq(6).all()
 
 
 @pytest.mark.sweep

@@ -223,6 +223,21 @@ def test_each_of_several_media_has_a_study_of_its_own(tmp_path):
     assert layers == [2, 1] and (folder / "scene_hard.toml").is_file()
 
 
+@pytest.mark.parametrize(
+    ("blocks", "unit"), [(["A", "A", "B"], "specimen"), (["A", "A", "A"], "insertion"), (["A"], None)]
+)
+def test_tracks_of_several_specimens_have_a_study_that_leaves_one_out(tmp_path, blocks, unit):
+    depths = range(0, 61, 5)
+    rows = [(f"r{n}", block, x, 4e-4 * x * x) for n, block in enumerate(blocks) for x in depths]
+    file = write_rows(tmp_path / "a.csv", [("run", "block", "depth [mm]", "deflection [mm]"), *rows])
+    folder = write_placed(tmp_path / "a", [file], point_sd="0.1")
+    (path,) = folder.glob("a_*.toml")
+    study = read_toml(path)
+    assert study.get("leave_out") == unit and study.get("same_specimen", False) == (unit != "specimen")
+    dataset = read(folder)
+    assert [one.specimen for one in dataset.insertions] == blocks
+
+
 # ---- a mapping that was written
 
 

@@ -319,13 +319,14 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     job = Job("one", fit, data, MEDIUM, one.parameters, recipe, None, (fold,), data)
     monkeypatch.setattr(Problem, "values", lambda *_: {**TRUTH, "bevel_spread": 0.1})
     thetas = np.zeros((300, 0))
-    _, _, _, (tuned, *held) = simulate_runs(job.problem(fold), fold, thetas, 1, default_rng(1))
+    bevels = job.problem(fold).new_bevel_sd, default_rng(1)
+    _, _, _, (tuned, *held) = simulate_runs(job.problem(fold), fold, {"gel": thetas}, 1, bevels)
     (bent,) = simulate_deflections([runs[2]], [DEPTH])
     assert np.ptp(tuned, axis=0).max() < 1e-9
     ends = [curves[:, 0, -1] for curves in held]
     assert np.std(ends[1] / bent[0, -1]) == approx(0.1, rel=0.15)
     assert abs(np.corrcoef(ends)[0, 1]) < 0.2
-    *_, (_, one, other) = simulate_runs(job.problem(fold), fold, thetas[:1], 1)
+    *_, (_, one, other) = simulate_runs(job.problem(fold), fold, {"gel": thetas[:1]}, 1)
     assert one.shape == other.shape and other[0, 0, -1] == approx(bent[0, -1])
 
 

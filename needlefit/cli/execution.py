@@ -313,7 +313,7 @@ def show_next_steps(dataset: "Dataset", folder: Path) -> None:
     for first_run in list_first_runs(dataset):
         run, scene = f"{path}/{first_run.file}", f"{path}/{first_run.scene_file}"
         of_medium = f" of {first_run.medium}" if first_run.medium else ""
-        if not first_run.is_study:
+        if not first_run.leave_out:
             held_out = (
                 f"one needle{of_medium}"
                 if len(first_run.insertions) == 1
@@ -321,7 +321,7 @@ def show_next_steps(dataset: "Dataset", folder: Path) -> None:
             )
             screen.print_note(f"{held_out}: nothing is held out, no verdict is possible")
         screen.print_note(f"stiffness and bevel{of_medium}: {shlex.join(('needlefit', 'tune', run))}")
-        if first_run.is_study:
+        if first_run.leave_out:
             screen.print_note(f"a first study{of_medium}: {shlex.join(('needlefit', 'validate', run))}")
         predict = shlex.join(("needlefit", "predict", run, "--scene", scene))
         screen.print_note(f"then a prediction{of_medium}: {predict}")

@@ -1,12 +1,12 @@
 """Write a first study or fit, and scenes, of a dataset that was imported or reconstructed."""
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from needlefit.datasets.columns import make_id
+from needlefit.datasets.folds import divide_insertions
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionInputs
 from needlefit.datasets.read import load_record
 from needlefit.grouping import group_values
@@ -35,7 +35,7 @@ class FirstRun:
     """A first study, or a fit where nothing can be held out, of the insertions into one medium."""
 
     insertions: tuple[Insertion, ...]
-    is_study: bool
+    leave_out: str  #: "specimen" or "insertion", of a study; empty of a fit
     medium: str  #: empty where there is one medium alone
     file: str  #: of the study or fit; the folder of its results has the same name
     tissue_file: str
@@ -48,10 +48,10 @@ class FirstRun:
 
 
 def list_first_runs(dataset: Dataset) -> list[FirstRun]:
-    """Return a first study or fit of each medium, as a tissue model describes one.
+    """Return a first study or fit of each medium, as a tissue model describes one; tip tracks have one.
 
-    Nothing can be held out of one insertion, nor of one tip track of a specimen: tracks are predicted within
-    a specimen, and have one study.
+    A study leaves out one specimen at a time, or, of a single one, one insertion. Nothing can be held out of
+    one insertion, nor of one tip track.
     """
     are_tracks = any(insertion.in_tracker_frame for insertion in dataset.insertions)
     media = group_values(
@@ -60,14 +60,18 @@ def list_first_runs(dataset: Dataset) -> list[FirstRun]:
     first_runs = []
     for medium, insertions in media.items():
         part = f"_{make_id(medium, 'medium')}" if len(media) > 1 else ""
-        counts = Counter(insertion.specimen for insertion in insertions if insertion.in_tracker_frame)
-        is_study = len(insertions) > 1 and min(counts.values(), default=2) > 1
+        unit = "specimen" if len({insertion.specimen for insertion in insertions}) > 1 else "insertion"
+        tracks = {insertion.id for insertion in insertions if insertion.in_tracker_frame}
+        members = divide_insertions(tuple(insertions), unit).values()
+        # no tip track is predicted without one to fit to
+        is_alone = any(tracks and tracks <= {insertion.id for insertion in some} for some in members)
+        leave_out = unit if len(members) > 1 and not is_alone else ""
         names = (
-            f"{dataset.name}{part}_{'study' if is_study else 'fit'}.toml",
+            f"{dataset.name}{part}_{'study' if leave_out else 'fit'}.toml",
             f"tissue{part}.toml",
             f"scene{part}.toml",
         )
-        first_runs.append(FirstRun(tuple(insertions), is_study, medium if part else "", *names))
+        first_runs.append(FirstRun(tuple(insertions), leave_out, medium if part else "", *names))
     return first_runs
 
 
@@ -160,7 +164,7 @@ def write_first_runs(folder: Path, dataset: Dataset, choices: FirstChoices | Non
             (
                 first_run.file,
                 _describe_run(dataset, first_run, choices),
-                StudyRecord if first_run.is_study else FitRecord,
+                StudyRecord if first_run.leave_out else FitRecord,
             ),
         )
         for file, tables, record in files:
@@ -193,10 +197,8 @@ def _describe_tissue(dataset: Dataset, first_run: FirstRun, choices: FirstChoice
 
 
 def _describe_run(dataset: Dataset, first_run: FirstRun, choices: FirstChoices) -> dict[str, object]:
-    """Return a study that leaves out one specimen at a time, or, of a single specimen and of tip tracks, one
-    insertion; a fit where nothing can be held out.
-    """
-    insertions, medium = first_run.insertions, first_run.medium
+    """Return the study of a first run, or a fit where nothing can be held out."""
+    medium, unit = first_run.medium, first_run.leave_out
     about = f"{dataset.name}{', ' * bool(medium)}{medium}"
     run: dict[str, object] = {
         "schema": 2,
@@ -205,18 +207,14 @@ def _describe_run(dataset: Dataset, first_run: FirstRun, choices: FirstChoices) 
         "medium": f"./{first_run.tissue_file}",
         "recipe": "default",
     }
-    several = len({insertion.specimen for insertion in insertions}) > 1 and not any(
-        insertion.in_tracker_frame for insertion in insertions
-    )
-    unit = "specimen" if several else "insertion"
-    where = "those into a new specimen" if several else "another one into the same specimen"
-    if first_run.is_study:
+    where = "those into a new specimen" if unit == "specimen" else "another one into the same specimen"
+    if unit:
         run |= {
             "title": f"{about}: leave one {unit} out",
             "question": f"Does a model fitted to all other insertions predict {where}?",
             "leave_out": unit,
             **choices.study,
         }
-    if not several:
+    if len({insertion.specimen for insertion in first_run.insertions}) == 1:
         run["same_specimen"] = True
     return run | ({"tune": {"medium": medium}} if medium else {})

@@ -13,6 +13,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import select_same_needle
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import compare_curves
+from needlefit.grouping import group_values
 from needlefit.inference import predict
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.curve_bands import find_bands
@@ -81,14 +82,13 @@ def check_tracks(job: Job) -> None:
         )
     for fold in job.folds:
         fitted, held = (
-            {track.specimen for track in part if track.observation == NAME}
-            for part in (fold.tune, fold.validate)
+            [run for run in part if run.observation == NAME] for part in (fold.tune, fold.validate)
         )
-        if other := held - fitted:
+        if held and not fitted:
             raise ConfigError(
-                f"runs into {', '.join(sorted(other))} would be predicted, and none is fitted to",
+                f"all tip tracks of {fold.name} would be predicted, and none is fitted to",
                 key="folds" if isinstance(job.record, StudyRecord) and job.record.folds else "validate",
-                expected="runs into specimens that are fitted",
+                expected="runs on both sides: they estimate what all share, and the curves beside the model",
             )
     for track in tracks:
         if count_registered(track, depth) > len(track.points) - MIN_SCORED_READINGS:
@@ -118,17 +118,21 @@ def predict_tracks(
     What was fitted along y alone is compared along y; where all runs were tracked along z, too, their
     readings there are predicted as in space.
     """
-    job = specimens.job
+    job, done = specimens.job, 0
     tuned = tuple(insertion for insertion in specimens.fold.tune if insertion.observation == NAME)
-    fold = replace(specimens.fold, tune=tuned, validate=tuple(tracks))
-    predictions = _predict_runs(specimens, job, fold)
-    further = [] if (whole := _restore_directions(job, fold)) is None else _predict_runs(specimens, *whole)
-    for n, prediction in enumerate(predictions):
-        rows = dict(prediction.rows)
-        for table in ("readings", "ends") if further else ():
-            rows[table] = [*rows[table], *(row for row in further[n].rows[table] if row["direction"] == "z")]
-        yield replace(prediction, rows=rows)
-        step(n + 1, len(predictions))
+    for of_specimen in group_values((track.specimen, track) for track in tracks).values():
+        fold = replace(specimens.fold, tune=tuned, validate=tuple(of_specimen))
+        predictions, whole = _predict_runs(specimens, job, fold), _restore_directions(job, fold)
+        further = [] if whole is None else _predict_runs(specimens, *whole)
+        for n, prediction in enumerate(predictions):
+            rows = dict(prediction.rows)
+            for table in ("readings", "ends") if further else ():
+                rows[table] = [
+                    *rows[table],
+                    *(row for row in further[n].rows[table] if row["direction"] == "z"),
+                ]
+            yield replace(prediction, rows=rows)
+            step(done := done + 1, len(tracks))
 
 
 def _restore_directions(job: Job, fold: Fold) -> tuple[Job, Fold] | None:
@@ -140,15 +144,28 @@ def _restore_directions(job: Job, fold: Fold) -> tuple[Job, Fold] | None:
 
 
 def _predict_runs(specimens: Specimens, job: Job, fold: Fold) -> list[HeldOutPrediction]:
-    """Return the predictions of the runs of a fold; `job` may compare in space, unlike that of `known`."""
-    depth, draws = _registration_depth(job), specimens.replace_mean(specimens.draws)
-    assert depth is not None and draws.mode is not None
+    """Return the predictions of the runs of a fold into one specimen.
+
+    `job` may compare in space, unlike that of `specimens`.
+    """
+    depth, held = _registration_depth(job), fold.validate[0]
+    assert depth is not None
+    thetas, modes = dict[str, Floats](), dict[str, Floats]()
+    for run in (*fold.tune, held):  # draws that are not certified are of all specimens together
+        draws = replace(specimens.draws, faults=specimens.faults)
+        draws = draws if draws.faults else specimens.draws_in(run)
+        mode = draws.mode if draws.faults else specimens.mode_in(run)
+        assert mode is not None
+        thetas[run.specimen], modes[run.specimen] = draws.thetas, mode
     problem = job.problem(specimens.fold if job is specimens.job else specimens.fold.of_dataset(job.measured))
     placed = [count_registered(track, depth) for track in fold.validate]
     rng = random_stream(job.recipe.seed, job.name, fold.name, "fitted")
-    simulated = simulate_runs(problem, fold, draws.thetas, specimens.jobs, rng)
+    bevel_sd = specimens.bevel_sd_in(held)
+    simulated = simulate_runs(problem, fold, thetas, specimens.jobs, (bevel_sd, rng))
     ahead = predict_runs(*simulated, placed, rng)
-    chosen, fitted, points = _choose_readings(problem, fold, draws, ahead, placed, specimens.jobs)
+    chosen, fitted, points = _choose_readings(
+        problem, fold, modes, ahead, placed, specimens.jobs, are_certified=not draws.faults
+    )
     methods = {PREDICTION_METHOD: points, "fitted": fitted, **_predict_by_curves(job, fold, placed)}
     scorer, predictions = make_scorer(job), list[HeldOutPrediction]()
     # how a moved guide leads a needle is known from runs with one, or as well as the recipe states
@@ -239,66 +256,69 @@ def _predict_by_curves(job: Job, fold: Fold, placed: Sequence[int]) -> dict[str,
 def _choose_readings(
     problem: Problem,
     fold: Fold,
-    draws: predict.Draws,
+    modes: Mapping[str, Floats],
     ahead: Sequence[PredictedReadings],
     placed: Sequence[int],
     jobs: int,
+    *,
+    are_certified: bool,
 ) -> tuple[PointPrediction, list[Floats], list[Floats]]:
     """Return which prediction of all runs is reported, and the readings (n - k,) of the mode and of it, mm.
 
-    Of draws that are not certified there is no median.
+    `modes`, theta (P,), by specimen. Of draws that are not certified there is no median.
     """
-    assert draws.mode is not None
+    mode, specimen = modes[fold.validate[0].specimen], fold.validate[0].specimen
     drawn = np.concatenate([observation.values for observation in ahead], axis=1)
 
     def predict_all(theta: Floats) -> Floats:
-        simulated = simulate_runs(problem, fold, theta[None], jobs)
+        thetas = {name: of_specimen[None] for name, of_specimen in {**modes, specimen: theta}.items()}
+        simulated = simulate_runs(problem, fold, thetas, jobs)
         solved = len(simulated[0]) > 0
         means = [readings.values for readings in predict_runs(*simulated, placed)]
         return np.hstack(means)[0] if solved else np.full(drawn.shape[1], np.nan)
 
-    mode, point = predict_all(draws.mode), PointPrediction()
-    if not draws.faults:
-        point = choose_point(problem, draws.mode, drawn, predict_all)
+    predicted, point = predict_all(mode), PointPrediction()
+    if are_certified:
+        point = choose_point(problem, mode, drawn, predict_all)
     ends = np.cumsum([observation.values.shape[1] for observation in ahead])[:-1]
-    return point, np.split(mode, ends), np.split(point.take(mode, drawn), ends)
+    return point, np.split(predicted, ends), np.split(point.take(predicted, drawn), ends)
 
 
 def simulate_runs(
-    problem: Problem, fold: Fold, thetas: Floats, jobs: int, rng: np.random.Generator | None = None
+    problem: Problem,
+    fold: Fold,
+    thetas: Mapping[str, Floats],
+    jobs: int,
+    bevels: tuple[float, np.random.Generator] | None = None,
 ) -> tuple[Floats, list[Observation], list[Observation], list[Floats]]:
     """Return the scales of the noise, the runs fitted to and predicted, and the model's curves of both.
 
-    As for `predict_runs`; `thetas` (B, P) of which a solve fails are left out. Runs fitted to have the
-    needle's bevel, those predicted each one of their own, without `rng` the same.
+    As for `predict_runs`, whose runs predicted are of one specimen; `thetas` (B, P), by specimen, of which a
+    solve fails are left out. Runs fitted to have the needle's bevel, those predicted each one of their own,
+    by the SD and the generator of `vary_bevels`; without `bevels` the same.
     """
     dataset = problem.dataset
     noise = replace(dataset.noise, heading_sd=0.0)
     likelihood = problem.likelihood.model_copy(update={"bevel_spread": 0.0, "measurement": "stored"})
-    sets = [problem.values(theta) for theta in thetas]
+    sets = {
+        specimen: [problem.values(theta) for theta in of_specimen] for specimen, of_specimen in thetas.items()
+    }
 
-    def simulate(sets: Sequence[Mapping[str, float]], some: Sequence[Observation]) -> Iterator[Floats]:
-        """Yield the curves (B, m, n) of runs."""
-        pairs = [
-            pair
-            for observation in some
-            for pair in zip(observation.nodes.insertions, observation.nodes.s, strict=True)
-        ]
-        model = PreparedModel(problem.medium, [run for run, _ in pairs])
-        points = model.read_points(sets, [s for _, s in pairs], jobs)
-        for observation in some:
-            yield np.stack([observation.stack(next(points)) for _ in observation.nodes.s], axis=1)
+    def simulate(sets: Sequence[Mapping[str, float]], observation: Observation) -> Floats:
+        """Return the curves (B, m, n) of a run."""
+        model = PreparedModel(problem.medium, observation.nodes.insertions)
+        points = model.read_points(sets, [*observation.nodes.s], jobs)
+        return np.stack([*map(observation.stack, points)], axis=1)
 
     tuned, held = (
         [make_observation(dataset, track, noise, likelihood, respond=problem.respond) for track in tracks]
         for tracks in (fold.tune, fold.validate)
     )
-    curves = list(simulate(sets, tuned))
-    for observation in held:
-        varied = sets if rng is None else vary_bevels(sets, problem.new_bevel_sd, rng)
-        curves += simulate(varied, [observation])
+    curves = [simulate(sets[observation.insertion.specimen], observation) for observation in tuned]
+    ours = sets[fold.validate[0].specimen]
+    curves += [simulate(ours if bevels is None else vary_bevels(ours, *bevels), run) for run in held]
     good = np.all([np.isfinite(curve).all(axis=(1, 2)) for curve in curves], axis=0)
-    scale = np.array([values.get(NOISE_SCALE, 1.0) for values in sets])
+    scale = np.array([values.get(NOISE_SCALE, 1.0) for values in ours])
     return scale[good], tuned, held, [curve[good] for curve in curves]
 
 
@@ -336,7 +356,7 @@ def _describe_run(
     along_y = predict.PredictiveMixture(drawn.values[:, :count] - first, np.zeros(count))
     row = {
         **describe_held_out(specimens, run, draws, len(draws.thetas) - len(drawn.values)),
-        **describe_specimen(None),
+        **describe_specimen(specimens if specimens.differs(run) else None),
         **score_shape(mixture, measured, find_bands(drawn.values).pit(measured)),
         **score_tip(along_y, measured[:count] - first),
     }

@@ -28,7 +28,7 @@ from needlefit.geometry.frames import normalize, to_unit
 from needlefit.grouping import group_values
 from needlefit.project.locate import join_names
 
-# Tracks are predicted within a specimen.
+# Tracks of one session are usually of one specimen; a new one would be predicted less well.
 TRACK_SPECIMEN = ("specimen1", "all runs into one; specimen=each if every run had a specimen of its own")
 MARGIN_FOR = "the error of a reading"
 PLACING_PART = 1 / 3  # fraction of the shallowest run whose readings place a run in the tracker's frame
