@@ -50,7 +50,7 @@ from needlefit.studies.advice import list_contradictions
 from needlefit.studies.fit_warnings import warn_of_doubts
 from needlefit.studies.job import Settings
 from needlefit.studies.load import load_study
-from needlefit.studies.odd_needles import check_quickly
+from needlefit.studies.odd_needles import find_odd_needles
 
 NEEDLE = Needle.from_tube(150.0, 0.908, 60e3)
 MU_MPA, TOPS_MM, BEVEL_MM, SPACING_MM = (1.5, 0.044), (20.0,), 0.08, 5.0
@@ -457,7 +457,7 @@ def doubt(folder):
     for file in sorted(folder.glob("*_study.toml")):
         with contextlib.chdir(file.parent):
             job = load_study(file.stem, load(file, StudyRecord), Settings(file=file))
-        doubts = check_quickly(job)
+        doubts = find_odd_needles(job)
         found += warn_of_doubts(doubts._replace(odd=(), deviating=None))
         named += [(one.insertion, one.cause) for one in doubts.odd]
         shifted += [one for one in (doubts.common,) if one is not None and one.stated is not None]

@@ -10,7 +10,7 @@ from inference_cases import problem as make_problem
 
 from needlefit.datasets.insertion import Noise
 from needlefit.inference import common_doubts
-from needlefit.inference.doubts import find_doubts
+from needlefit.inference.doubts import Doubts, find_doubts, find_limit
 from needlefit.inference.hypotheses import Change, Deviation, Explanation, explain, search_sizes
 from needlefit.inference.linear_needles import fit_quickly
 
@@ -197,9 +197,12 @@ def test_a_boundary_that_is_stated_in_centimetres_is_found_if_the_noise_is_known
 
 def test_three_needles_needles_off_their_plane_and_needles_without_stated_noise_are_not_judged():
     made = change(measure_needles(1), 1, lambda points: points * [1, -1, 1])
-    assert list(doubt(made[:3])) == []
     bent = change(made, 3, lambda points: points + points[:, :1] ** 2 * [0, 0, 0.001])
-    assert len(doubt(made)) == 1 and list(doubt(bent)) == []
-    problem = make_problem(medium(), made)
-    silent = replace(problem, dataset=dataset(made, Noise()))
-    assert find_doubts(silent, problem.parameters.theta(TRUTH)).odd == ()
+    assert len(doubt(made)) == 1
+    silent = replace(make_problem(medium(), made), dataset=dataset(made, Noise()))
+    for problem, reason in ((make(made[:3]), "few"), (make(bent), "plane"), (silent, "noise")):
+        assert find_doubts(problem) == Doubts(unjudged=reason)
+
+
+def test_of_more_needles_one_must_be_farther_to_be_named():
+    assert [find_limit(count) for count in (1, 8, 500)] == pytest.approx([5.0, 5.386, 6.088], abs=1e-3)

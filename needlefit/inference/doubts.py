@@ -11,6 +11,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from needlefit.arrays import Floats
 from needlefit.datasets.compared import leaves_plane
@@ -28,6 +29,7 @@ from needlefit.inference.hypotheses import (
 from needlefit.inference.linear_needles import (
     MIN_NEEDLES,
     Prediction,
+    fit_quickly,
     linearize_needles,
     measure_deviations,
     predict_from,
@@ -47,50 +49,63 @@ class Doubts(NamedTuple):
     #: how many of how many needles deviate, where so many do that the model does not fit
     deviating: tuple[int, int] | None = None
     common: DoubtMetadata | None = None  #: what may have happened to all needles alike
+    #: why none was compared with the others: "few" needles, without "noise", out of their "plane", "unsolved"
+    unjudged: str = ""
 
 
-def find_doubts(problem: Problem, theta: Floats, *, seeks_common: bool = True) -> Doubts:
+def find_doubts(problem: Problem, theta: Floats | None = None, *, seeks_common: bool = True) -> Doubts:
     """Return the needles that a fit to the others does not predict, and what happened to all if it is sought.
 
-    `theta` (P,): the fit to all. None of too few needles, without stated noise, of needles that leave the
-    plane in which they are compared, or where a needle is not solved: these are not judged.
+    `theta` (P,): the fit to all; None: a quick one.
     """
     insertions, count, dataset = problem.insertions, len(problem.insertions), problem.dataset
-    if count < MIN_NEEDLES or not dataset.noise_is_stated:
-        return Doubts()
+    if count < MIN_NEEDLES:
+        return Doubts(unjudged="few")
+    if not dataset.noise_is_stated:
+        return Doubts(unjudged="noise")
     if dataset.compared == "plane" and any(leaves_plane(needle, dataset.noise) for needle in insertions):
-        return Doubts()
-    odd = list[int]()
+        return Doubts(unjudged="plane")
+    fitted = fit_quickly(problem) if theta is None else theta
+    odd, limit = list[int](), find_limit(count)
 
     def describe(k: int) -> DoubtMetadata | None:
-        return _describe(problem, k, theta, predictions[k], sds[k])
+        return _describe(problem, k, fitted, predictions[k], sds[k])
 
     while True:
         rest = [k for k in range(count) if k not in odd]
-        theta = refit(problem, [insertions[k] for k in rest], theta) if odd else theta
-        blocks = linearize_needles(problem, insertions, theta)
-        if not np.isfinite(blocks.squares).all():  # a solve failed
-            return Doubts()
+        fitted = refit(problem, [insertions[k] for k in rest], fitted) if odd else fitted
+        blocks = linearize_needles(problem, insertions, fitted)
+        if not np.isfinite(blocks.squares).all():
+            return Doubts(unjudged="unsolved")
         uses = np.isin(np.arange(count), rest) & ~np.eye(count, dtype=bool)
-        predictions = predict_from(problem, blocks, uses, theta)
+        predictions = predict_from(problem, blocks, uses, fitted)
         pairs = [(blocks.select(k), predicted) for k, predicted in enumerate(predictions)]
-        sds = [measure_deviations(block, theta, predicted)[0].sds for block, predicted in pairs]
+        sds = [measure_deviations(block, fitted, predicted)[0].sds for block, predicted in pairs]
         oddest = sorted(rest, key=lambda k: -sds[k])
         worst = next(filter(describe, oddest), None) if len(odd) + 1 <= MAX_OUTLYING_PART * count else None
         if worst is None:
             break
         odd.append(worst)
-    if seeks_common and (shared := _find_shared(problem, theta, {insertions[k].id for k in odd})) is not None:
+    names = {insertions[k].id for k in odd}
+    if seeks_common and (shared := _find_shared(problem, fitted, names)) is not None:
         return shared
     # in the stated errors alone, whatever the misfit of the others is
     stated = (
-        measure_deviations(block, theta, predicted._replace(scale=1.0))[0].sds for block, predicted in pairs
+        measure_deviations(block, fitted, predicted._replace(scale=1.0))[0].sds for block, predicted in pairs
     )
-    deviating = sum(sds >= OUTLIER_SD for sds in stated)
+    deviating = sum(sds >= limit for sds in stated)
     if deviating > MAX_OUTLYING_PART * count:
         return Doubts(deviating=(deviating, count))
     needles = map(describe, sorted(odd, key=lambda k: -sds[k]))
     return Doubts([needle for needle in needles if needle is not None])
+
+
+def find_limit(count: int) -> float:
+    """Return the distance (SD) beyond which any of `count` needles lies as rarely as one beyond `OUTLIER_SD`.
+
+    It is Bonferroni's.
+    """
+    return float(-ndtri(ndtr(-OUTLIER_SD) / count))
 
 
 def _find_shared(problem: Problem, theta: Floats, odd: set[str]) -> Doubts | None:
@@ -122,7 +137,7 @@ def _describe(
     It is if it lies too far from its prediction, or farther than most and something is far more probable than
     nothing. Of the latter is asked where errors alone keep the others from their fit.
     """
-    is_near = sds < OUTLIER_SD
+    is_near = sds < find_limit(len(problem.insertions))
     if is_near and not (sds > PREDICTED_SD and predicted.describes(sum(problem.density.residual_counts))):
         return None
 

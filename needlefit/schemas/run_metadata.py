@@ -232,6 +232,7 @@ class FitMetadata(JobMetadata):
     #: how many of how many needles the others do not predict, where the model does not fit
     deviating: tuple[int, int] | None = None
     common_doubt: DoubtMetadata | None = None
+    unjudged: str = ""  #: why no needle was compared with the others: as of `Doubts`
     medians: list[MedianMetadata] = []
     #: of shapes of unknown pose: by parameter the factor between the ends of its 95 % interval if the
     #: directions of insertion were stated

@@ -125,6 +125,7 @@ class Finding:
     outcome: str = ""  #: without these
     #: by parameter its value with these and without them, Pa and mm
     values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    unjudged: str = ""  #: why no needle was compared with the others
     tips: int | None = None  #: that have an interval
     missing: int = 0  #: held-out tips that have none
     deflection_mm: float | None = None  #: median of the tips' deflections

@@ -8,7 +8,6 @@ import pandas as pd
 
 from needlefit.datasets.folds import Fold
 from needlefit.inference.doubts import Doubts, find_doubts
-from needlefit.inference.linear_needles import fit_quickly
 from needlefit.inference.problem import Problem
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.columns import HEIGHT_COLUMNS, INSERTION_KEYS
@@ -16,27 +15,12 @@ from needlefit.schemas.run_metadata import DoubtMetadata
 from needlefit.studies.job import Job
 
 
-def find_odd_needles(job: Job, mode: Sequence[float]) -> Doubts:
+def find_odd_needles(job: Job, mode: Sequence[float] | None = None) -> Doubts:
     """Return the needles that any fold fits to, and the others of these do not predict.
 
-    `mode` (P,): the most probable parameters of a fit.
+    Those with values of another, or with constant ones, are left out. `mode` (P,): the most probable
+    parameters of a fit; None: of a quick one.
     """
-    return find_doubts(_leave_out_contradictory(job), np.array(mode))
-
-
-def check_quickly(job: Job) -> Doubts:
-    """Return what a quick fit doubts of a study's data.
-
-    None without stated noise, or where the study does not fit by it.
-    """
-    if not (job.dataset.noise_is_stated and job.recipe.minimize == "posterior"):
-        return Doubts()
-    problem = _leave_out_contradictory(job)
-    return find_doubts(problem, fit_quickly(problem))
-
-
-def _leave_out_contradictory(job: Job) -> Problem:
-    """Return the problem of all insertions but those with values of another, or with constant ones."""
     named = {
         name
         for warning in job.dataset.warnings
@@ -45,7 +29,8 @@ def _leave_out_contradictory(job: Job) -> Problem:
     }
     problem = join_folds(job)
     others = tuple(insertion for insertion in problem.insertions if insertion.id not in named)
-    return replace(problem, insertions=others or problem.insertions)
+    sound = replace(problem, insertions=others or problem.insertions)
+    return find_doubts(sound, None if mode is None else np.array(mode))
 
 
 def join_folds(job: Job) -> Problem:

@@ -2,13 +2,14 @@
 
 import os
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from needlefit.datasets.sources import DATASET_FILE
 from needlefit.errors import ConfigError
+from needlefit.inference.doubts import Doubts
 from needlefit.project.input_files import is_file
 from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import find_study_or_fit, is_path, read_toml
@@ -19,14 +20,14 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.deciding import select_deciding
 from needlefit.schemas.origin import Origin
-from needlefit.schemas.run_metadata import AnalysisMetadata, DoubtMetadata
+from needlefit.schemas.run_metadata import AnalysisMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.fit_warnings import warn_of_doubts
 from needlefit.studies.identity import describe_configuration, identify
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.load import load_study
-from needlefit.studies.odd_needles import check_quickly
+from needlefit.studies.odd_needles import find_odd_needles
 from needlefit.studies.run import Run
 from needlefit.studies.store import RUN_FILE, name_source, read_sources, restore_run
 from needlefit.studies.stored_fit import reopen_fit
@@ -91,7 +92,7 @@ class StudyCheck:
     folds: tuple[tuple[int, int], ...] = ()
     warnings: tuple[ResultWarning, ...] = ()  #: about the data and the study
     origin: Origin = "measured"  #: of the data
-    odd: Sequence[DoubtMetadata] = ()  #: needles that a quick fit to the others does not predict
+    doubts: Doubts | None = None  #: about its needles, of a quick fit; of these kinds alone
 
 
 @one_thread
@@ -113,9 +114,9 @@ def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
         job = load_study(path.stem, record, Settings(file=path))
     folds = tuple((len(fold.tune), len(fold.validate)) for fold in job.folds)
     named = "cross-validation" if isinstance(record, StudyRecord) else "fit"
-    doubts = check_quickly(job)
+    doubts = find_odd_needles(job)
     warnings = (*job.warnings, *warn_of_doubts(doubts))
-    return StudyCheck(named, folds, warnings, job.dataset.origin, doubts.odd)
+    return StudyCheck(named, folds, warnings, job.dataset.origin, doubts)
 
 
 class Target(NamedTuple):

@@ -138,6 +138,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
         "odd_needles": list(doubts.odd),
         "deviating": doubts.deviating,
         "common_doubt": doubts.common,
+        "unjudged": doubts.unjudged,
         "with_direction": factors,
         **{name: join_rows(rows, name) for name in ("stated_depths", "medians")},
     }
