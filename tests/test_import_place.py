@@ -512,6 +512,25 @@ def test_points_and_planes_of_slicer_are_boundaries(tmp_path, kind):
     refusal(DataError, "no plane", planned, [tmp_path], **stated | {"surfaces": "layer.mrk.json"})
 
 
+@pytest.mark.parametrize("by_reading", [True, False])
+def test_a_bevel_may_turn_between_the_readings_of_a_run(tmp_path, by_reading):
+    """Two runs in the frame of a tracker; up to 20 mm they bend toward y, as their bevels face."""
+    facing, rows = {"a": (0, 180), "b": (180, 90)}, []
+    for name, (first, then) in facing.items():
+        side = 1 - first / 90
+        for x in np.arange(0.0, 61.0, 5.0):
+            roll = f"{then if x > 20 else first} deg" if by_reading else f"{first} deg"
+            rows.append((name, roll, x, x, 4e-4 * side * min(x, 20.0) ** 2, 0.0))
+    head = "run,roll,depth [mm],tip x [mm],tip y [mm],tip z [mm]"
+    write_table(file := tmp_path / "a.csv", head, rows)
+    turns = [(name, 20, f"{then} deg") for name, (_, then) in facing.items()]
+    write_table(beside := tmp_path / "turns.csv", "run,turn depth [mm],bevel side", turns)
+    files = [file] if by_reading else [file, beside]
+    runs = read(write_placed(tmp_path / "out", files, holds="tracks", point_sd="0.1")).insertions
+    assert [(run.side, run.turns) for run in runs] == [(1, ((20.0, 180.0),)), (-1, ((20.0, 270.0),))]
+    assert runs[0].points[4] == pytest.approx([20, 0.16, 0], abs=1e-3)
+
+
 def test_tips_at_a_tracker_are_read_across_the_insertion_and_rolled_from_the_stated_up(tmp_path):
     """Four runs off all axes, whose bevels face 12, 3, 6 and 9 o'clock; and one of 4 readings.
 

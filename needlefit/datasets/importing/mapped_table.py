@@ -176,10 +176,15 @@ class MappedTable:
         """Return the cells of rows, those of the column `k`, in mm or 1/mm."""
         return np.array([self.read_number(meaning, n, k) for n in rows], dtype=np.float64)
 
-    def read_facts(self, rows: Sequence[int]) -> dict[str, Stated]:
+    def read_side(self, n: int) -> Stated:
+        """Return where the bevel faces in a row."""
+        text = "".join(self.cells["bevel_side"][n])
+        return Stated(text, self.read_unit("bevel_side", n), self.where(n, "bevel_side"))
+
+    def read_facts(self, rows: Sequence[int], varying: Sequence[str] = ()) -> dict[str, Stated]:
         """Return what columns state once of the needle, the specimen or all in some rows.
 
-        DataError if two cells of one column contradict each other.
+        DataError if two cells of one column contradict each other; `varying`: meanings that may differ.
         """
         stated: dict[str, Stated] = {}
         for meaning in filter(self.record.columns.__contains__, ATTRIBUTES):
@@ -187,8 +192,11 @@ class MappedTable:
             cells = self.cells[meaning]
             texts = {n: sign.join(filter(None, cells[n])) for n in rows if any(cells[n])}
             differ = len({*texts.values()}) > 1
-            is_of_readings = differ and meaning in ("depth", "point_sd")
-            if not texts or is_of_readings or self.record.columns[meaning].divide_by_root is not None:
+            if (
+                not texts
+                or (differ and meaning in varying)
+                or self.record.columns[meaning].divide_by_root is not None
+            ):
                 continue
             first, text = next(iter(texts.items()))
             if differ and meaning in ("boundaries", "thickness") and self.record.of == "all":

@@ -131,7 +131,7 @@ def _fit_plane(path: Path) -> Surface:
 
 def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedCurve]:
     """Yield the needles of a table of points, each with the points that were measured, in their order."""
-    table, columns = mapped.table, mapped.record.columns
+    table, columns, kind = mapped.table, mapped.record.columns, KINDS[mapped.record.holds]
     is_deflection = "deflection" in columns or "x" not in columns
     across = ("deflection", "deflection_z") if "deflection" in columns else ("y", "z")
     axes = ["depth" if is_deflection else "x", *across]
@@ -159,14 +159,14 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
             name or table.name,
             Points(Path(table.where), values, lines, _read_sds(mapped, rows)),
             mapped.record.holds,
-            mapped.read_facts(rows),
+            mapped.read_facts(rows, kind.varying),
             is_deflection=is_deflection,
             guide=_read_guide(mapped, rows),
             is_named=bool(name),
         )
         if is_deflection:
             curve.stated.pop("depth", None)
-        KINDS[mapped.record.holds].read(mapped, curve, rows)
+        kind.read(mapped, curve, rows)
         yield curve
 
 

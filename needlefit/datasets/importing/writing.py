@@ -137,7 +137,7 @@ def _write_tracks(
             NEEDLE_COLUMN: row.needle,
             HOLE_COLUMN: row.hole,
             "bevel_side": row.side,
-            "bevel_roll_deg": np.degrees(curve.turn),
+            "bevel_roll_deg": np.degrees(curve.rolls),
             POINT_SD_COLUMN: row.point_sd,
         }
         numbers = zip(TRACK_COLUMNS, (curve.depths, *curve.line.T[:2], *guide.T[:2]), strict=True)

@@ -23,6 +23,8 @@ class RowKind:
     #: table, whether a person states the kind -> columns by needle, "" of all; none of other kinds
     propose: Callable[[TableDraft, bool], dict[str, Columns]]
     rank: int  #: the greatest is looked for first
+    #: meanings of needles that each row may state anew
+    varying: Sequence[str] = ("depth", "point_sd")
     placer: type[Placer] | None = None  #: places its needles; None: rows alone make no needle
     #: table, needle, its rows: adds to the needle what they state beside points
     read: Callable[[MappedTable, ImportedCurve, Sequence[int]], None] = lambda mapped, curve, rows: None

@@ -20,8 +20,9 @@ from needlefit.datasets.importing.draft_table import Columns, Records, TableDraf
 from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.meanings import read_header
-from needlefit.datasets.importing.stated import name_set
+from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.datasets.insertion import GUIDE_STILL_MM
+from needlefit.datasets.layers import SAME_POINT_MM
 from needlefit.errors import DataError
 from needlefit.geometry.common_direction import fit_direction
 from needlefit.geometry.frames import normalize, to_unit
@@ -99,9 +100,9 @@ class TrackPlacer(Placer):
         return normalize(sideways)
 
     def fill_rows(self) -> None:
-        """Fill in the sides of the bevels, and by how much they are turned."""
+        """Fill in the sides of the bevels."""
         for curve in self.curves:
-            curve.fill(side=curve.side, turns=((0.0, curve.turn),) if curve.turn else ())
+            curve.fill(side=curve.side)
 
     def choose_study(self) -> Mapping[str, float | str]:
         """Return which readings place a predicted run, and which difference of errors does not matter.
@@ -123,11 +124,13 @@ def find_bends(curves: Sequence[ImportedCurve]) -> BendsOfSides:
     """Return how far runs bend from the direction that fits all of them, else from those of their entries."""
     fitted = fit_direction([curve.line for curve in curves])
     degree = 2 if fitted is None else 1  # of a parabola, or a line
-    runs = [curve for curve in curves if len(curve.depths) > degree]
+    counts = {curve: int(np.cumprod(curve.rolls == curve.rolls[0]).sum()) for curve in curves}  # until a turn
+    runs = [curve for curve, count in counts.items() if count > degree]
     bends, along = np.zeros((len(runs), 3)), np.zeros((len(runs), 3))
     for n, curve in enumerate(runs):
-        *_, slope, _ = terms = np.polyfit(curve.depths - curve.depths[0], curve.line, degree)
-        bends[n] = np.ptp(curve.depths) ** degree * terms[0]
+        depths, line = curve.depths[: counts[curve]], curve.line[: counts[curve]]
+        *_, slope, _ = terms = np.polyfit(depths - depths[0], line, degree)
+        bends[n] = np.ptp(depths) ** degree * terms[0]
         if fitted is not None:
             along[n] = fitted.vector
         elif np.linalg.norm(slope) > MIN_TRACK_SLOPE:  # else the coordinates are across the needle
@@ -159,18 +162,22 @@ def project_guide(curve: ImportedCurve, guide: Floats, planes: Floats) -> Floats
 
 
 def settle_rolls(asked: CurveAnswers) -> None:
-    """Settle sides and turns of the bevels; runs that were read along one direction are not turned.
+    """Settle sides and turns of the bevels: `rolls` become rad, about side 1 of the plane they bend in.
 
-    DataError if bevels face other ways than up and down, and nothing states where up is.
+    A turn at a stated depth is that of the next reading. DataError if bevels begin other ways than up and
+    down, and nothing states where up is.
     """
     curves = asked.curves
-    asked.settle_sides(is_needed=True)
-    if turned := [curve for curve in curves if curve.turns or curve.sensors]:
+    for curve in curves:
+        if len(curve.rolls):
+            curve.stated["bevel_side"] = Stated(f"{curve.rolls[0]:.6g} deg", "", curve.points.where())
+    contact = asked.settle_sides(is_needed=True) or {}
+    if measured := [curve for curve in curves if curve.sensors]:
         raise DataError(
-            f"run {turned[0].name} has turns of its bevel, or curvatures, beside its readings",
-            expected="readings alone, of a bevel that is not turned",
-            fix=f"leave it out: {name_set('leave_out', ','.join(curve.name for curve in turned))}",
-            where=turned[0].points.where(),
+            f"run {measured[0].name} has curvatures beside its readings",
+            expected="readings alone",
+            fix=f"leave it out: {name_set('leave_out', ','.join(curve.name for curve in measured))}",
+            where=measured[0].points.where(),
         )
     in_space = not all(curve.is_deflection for curve in curves) and asked.stated("bevel") in ("", "bend")
     if in_space and len({curve.turn for curve in curves}) > 1:
@@ -183,8 +190,13 @@ def settle_rolls(asked: CurveAnswers) -> None:
     is_flat = any(curve.turn for curve in curves) and not any(curve.line[:, 2].any() for curve in curves)
     if is_flat and not in_space:
         asked.assumed["deflection"] = "toward the bevel of side 1: one deflection is stated of each tip"
-    for curve in curves if in_space or is_flat else ():
-        curve.turn = 0.0  # of one plane, in which they bend
+    for curve in curves:
+        curve.turn *= not (in_space or is_flat)  # of one plane, in which they bend
+        starts = np.append(0.0, curve.depths[:-1])
+        rolls = curve.rolls if len(curve.rolls) else np.full(len(starts), contact[curve])
+        for depth, cell in curve.turns:
+            rolls[np.searchsorted(starts, depth - SAME_POINT_MM) :] = cell.to_angle()
+        curve.rolls = curve.turn + np.radians((rolls - contact[curve]) % 360.0)
 
 
 def settle_guide(asked: CurveAnswers) -> None:
@@ -281,6 +293,7 @@ def keep_readings(
         asked.note(curve.name, f"{count} are left out: {why}")
     rows = np.flatnonzero(is_kept)
     curve.points, curve.depths = curve.points.part(rows), depths[rows]
+    curve.rolls = curve.rolls[rows] if len(curve.rolls) else curve.rolls
     curve.guide = None if curve.guide is None else curve.guide[rows]
 
 
@@ -317,7 +330,9 @@ def complete_tracks(draft: TableDraft, records: Records) -> None:
 
 
 def read_readings(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:
-    """Add the depths of readings, where a column states them."""
+    """Add the depths of readings, and where the bevel faced, where columns state them of each."""
+    if "bevel_side" in mapped.record.columns and "bevel_side" not in curve.stated:
+        curve.rolls = np.array([mapped.read_side(n).to_angle() for n in rows])
     if (record := mapped.record.columns.get("depth")) is not None:
         curve.stated.pop("depth", None)
         curve.depths = mapped.read_numbers("depth", rows)
@@ -328,6 +343,7 @@ TRACKS = RowKind(
     "tracks",
     propose_tracks,
     6,
+    varying=("depth", "point_sd", "bevel_side"),
     placer=TrackPlacer,
     complete=complete_tracks,
     read=read_readings,

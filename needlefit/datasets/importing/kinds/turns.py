@@ -6,7 +6,6 @@ from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.draft_table import Columns, TableDraft
 from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
-from needlefit.datasets.importing.stated import Stated
 
 
 def propose_turns(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
@@ -24,9 +23,7 @@ def read_turns(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -
     """Add the depths of turns, mm, and where the bevel faces then."""
     mapped.require("turn_depth", "bevel_side")
     for n in rows:
-        text, unit = "".join(mapped.cells["bevel_side"][n]), mapped.read_unit("bevel_side", n)
-        cell = Stated(text, unit, mapped.where(n, "bevel_side"))
-        curve.turns.append((mapped.read_number("turn_depth", n), cell))
+        curve.turns.append((mapped.read_number("turn_depth", n), mapped.read_side(n)))
 
 
 TURNS = RowKind("turns", propose_turns, 2, read=read_turns)
