@@ -18,6 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
+from state_figure import StateFigure, fit_height
 
 from needlefit.datasets.importing.examples import WORKBOOK_FILE
 from needlefit.datasets.importing.meanings import VALUES
@@ -29,8 +30,7 @@ from needlefit.planning.recording import RecordedStep, Recording, make_head, wri
 from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
-from needlefit.reporting.figures.needles import StateFigure
-from needlefit.reporting.figures.style import RC_PARAMS, fit_height
+from needlefit.reporting.figures.style import RC_PARAMS
 from needlefit.schemas.scene import SceneRecord
 
 FOLDER = Path(__file__).resolve().parent / "figures"

@@ -144,7 +144,7 @@ def test_a_recording_and_the_dataset_that_it_is_of_are_not_replaced(tmp_path, mo
 
 
 def test_colliding_outputs_are_refused_and_an_old_one_is_replaced(own, tmp_path):
-    out = str(tmp_path / "out.svg")
+    out = str(tmp_path / "out.pdf")
     assert run("simulate", own, "--plot", out, "--csv", out) == 3
     assert run("simulate", own, "--plot", tmp_path) == 3
     for _ in range(2):

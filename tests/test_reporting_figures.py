@@ -9,7 +9,7 @@ from needlefit.reporting.figures import style
 from needlefit.studies.fit_figures import draw_predictive_check
 
 
-def test_letters_that_no_font_has_are_written_as_their_numbers(tmp_path, monkeypatch):
+def test_letters_that_no_font_has_are_written_as_their_numbers(monkeypatch):
     assert fonts.find_lacking("Nädel, игла, μ₁ − 针1") == {"针"}
     monkeypatch.setattr(fonts, "find_fonts", lambda _: {})  # whatever is installed
     assert fonts.spell("针A 针一") == "[U+9488]A [U+9488][U+4E00]"
@@ -21,7 +21,7 @@ def test_letters_that_no_font_has_are_written_as_their_numbers(tmp_path, monkeyp
         figure.draw_without_rendering()
         return figure
 
-    drawn = style.draw(tmp_path / "a.svg", paint, "words that can be edited").read_text(encoding="utf-8")
+    drawn = style.paint_bytes(paint, ".svg").decode()
     for name in ("[U+9488][U+4E00]", "[U+9488][U+4E8C]", "игла"):
         assert name in drawn
     assert "针" not in drawn

@@ -6,13 +6,20 @@ import pytest
 from test_viewer_opening import run_study
 
 from needlefit.datasets.read import read as read_dataset
+from needlefit.geometry.frames import Placement
 from needlefit.inference.likelihood.observations import select_points
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
-from needlefit.planning.recording import RecordedStep, Recording, read_recording, write_recording
+from needlefit.planning.recording import (
+    RecordedStep,
+    Recording,
+    begin_replay,
+    read_recording,
+    replay,
+    write_recording,
+)
 from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.studies.needle_placement import NEEDLE_POINTS
-from needlefit.viewer.export import replay_to_end
 from needlefit.viewer.opening import open_target
 
 QUICK = "schema = 1\nstarts = 1\nevaluations = 10\ntolerance = 1e-3\n"
@@ -52,10 +59,12 @@ def test_a_steered_needle_lies_where_the_files_of_a_run_have_it(pose, tmp_path, 
     compared = {"known": "world", "direction": "shifted", "free": "aligned"}[pose]
     assert {*results.frames["errors"]["comparison"]} == {compared}
     steered(tmp_path / "log.csv")
-    outcome = replay_to_end(read_recording(tmp_path / "log.csv"))
+    recording = read_recording(tmp_path / "log.csv")
+    placement, steering = Placement.from_record(recording.head.placement), begin_replay(recording)
+    *_, end = replay(recording, steering)
     one = next(one for one in read_dataset(tmp_path / "data" / "needles").insertions if one.id == ID)
     s = select_points(*(("free", 2.0) if pose == "free" else ("known", 0.0)), one, NEEDLE_POINTS).s
-    found = outcome.placement.to_patient(compute_positions(outcome.state.shape, s))
+    found = placement.to_patient(compute_positions(end.state.shape, s))
     rows = results.frames["needles"]
     rows = rows[rows["insertion"] == ID]
     np.testing.assert_allclose(

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +23,18 @@ if TYPE_CHECKING:
     from needlefit.mechanics.shape import NeedleShape
     from needlefit.reporting.table_files import Row
     from needlefit.schemas.scene import SceneRecord
-    from needlefit.viewer.export import SimulationOutcome
+
+
+@dataclass(frozen=True)
+class _Simulated:
+    """A needle at the end of its way."""
+
+    title: str
+    scene: "Scene"  #: its steps are those that `shapes` belong to
+    shapes: "Sequence[NeedleShape]"  #: after each step, up to the one that failed; of a recording the last
+    placement: "Placement | None" = None  #: of a measured needle; None of a scene, which contains it
+    #: of a recording its steps, and the greatest distance of the tip from where it was recorded, mm
+    replayed: Mapping[str, float] | None = None
 
 
 def simulate(
@@ -34,7 +46,7 @@ def simulate(
     depth: options.Depth = None,
     set_: options.Changes = None,
     recording: options.Recording = None,
-    plot: Annotated[Path | None, option("Draw the final shape: .png, .pdf or .svg.", "FILE")] = None,
+    plot: Annotated[Path | None, option("Draw the final shape and load: .pdf or .png.", "FILE")] = None,
     csv: Annotated[
         Path | None, option("Write the final shape: position (mm), slope, load (N/mm).", "FILE")
     ] = None,
@@ -55,7 +67,6 @@ def simulate(
     """
     from needlefit.mechanics.scene import Scene, simulate_scene
     from needlefit.project.unit_warnings import scene_warnings
-    from needlefit.viewer.export import SimulationOutcome, write_file
 
     files = {"--plot": plot, "--csv": csv, "--slicer": slicer}
     written = {option: path for option, path in files.items() if path is not None}
@@ -65,9 +76,7 @@ def simulate(
         require_output_files(written, [find_file("scene", scene)])
         where, record = scene_record(scene, depth, set_ or [])
         model = Scene.from_record(record, where)
-        shapes = simulate_scene(model)
-        title, first_cell = record.title or scene, model.lattice.first_cell
-        done = SimulationOutcome(title, model, shapes, model.steps, first_cell)
+        done = _Simulated(record.title or scene, model, simulate_scene(model))
     else:
         if scene is not None or depth is not None or set_:
             raise typer.BadParameter(
@@ -77,12 +86,24 @@ def simulate(
         done, record = _replay_recording(recording, written)
         where = str(recording)
 
-    # before anything is printed: a name may be none of a picture
-    saved = [path for option, path in written.items() if write_file(done, option.removeprefix("--"), path)]
+    saved = list[Path]()  # before anything is printed: a name may be none of a picture
+    if (plot or csv) and done.shapes[-1].converged:
+        from needlefit.reporting.shape_table import draw_shape, tabulate_shape
+        from needlefit.reporting.table_files import write_csv
+
+        table = tabulate_shape(done.scene, done.shapes[-1], done.placement)
+        for path, write in ((plot, draw_shape), (csv, write_csv)):
+            if path is not None:
+                write(table, path)
+                saved.append(path)
+    if slicer is not None:
+        from needlefit.reporting.slicer import write_simulated_needle
+
+        placement = done.placement or done.scene.entry.placement
+        saved += [slicer] if write_simulated_needle(placement, done.shapes, slicer) else []
     invocation = context.find_root().obj
     summary = summarize_simulation(done.scene, done.shapes, done.placement)
-    if done.recording is not None:
-        summary["replayed"] = {"steps": len(done.recording.steps), "tip_offset_mm": done.tip_offset_mm}
+    summary |= {} if done.replayed is None else {"replayed": done.replayed}
     warnings = [*scene_warnings(record, where)]
     if faults := summary["validity"]["faults"]:
         problem = f"the solution is outside what the model assumes: {'; '.join(faults)}"
@@ -106,21 +127,31 @@ def simulate(
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
-def _replay_recording(path: Path, outputs: Mapping[str, Path]) -> "tuple[SimulationOutcome, SceneRecord]":
+def _replay_recording(path: Path, outputs: Mapping[str, Path]) -> "tuple[_Simulated, SceneRecord]":
     """Carry out a recording; return also its scene.
 
     ConfigError if one of `outputs`, by option, is a file of what was steered, or cannot be written.
     """
-    from needlefit.planning.recording import read_recording
-    from needlefit.viewer.export import replay_to_end
+    from needlefit.geometry.frames import Placement
+    from needlefit.planning.recording import begin_replay, read_recording, replay
 
     recording = read_recording(path)
-    shown = []  # the scene, or the folder of the run or dataset, that the recording is of, unless it is gone
-    with suppress(NeedlefitError):
-        target = find_view_target(recording.head.target, "scene")
+    head, shown = recording.head, list[Path]()
+    with suppress(NeedlefitError):  # the scene, or the folder of the run or dataset, unless it is gone
+        target = find_view_target(head.target, "scene")
         shown.append(target.path.parent if target.kind == "dataset" else target.path)
     require_output_files(outputs, [path, *shown])
-    return replay_to_end(recording), recording.head.scene
+    steering = begin_replay(recording)
+    off = max(replayed.tip_offset_mm for replayed in replay(recording, steering))
+    state = steering.now
+    simulated = _Simulated(
+        head.scene.title or head.target,
+        replace(steering.scene, tissue=state.tissue, steps=(state.step,)),
+        (state.shape,),
+        Placement.from_record(head.placement) if head.placement else None,
+        {"steps": len(recording.steps), "tip_offset_mm": off},
+    )
+    return simulated, head.scene
 
 
 def summarize_simulation(

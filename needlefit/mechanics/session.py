@@ -4,7 +4,6 @@ import copy
 import math
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Self, TypeVar
 
@@ -19,7 +18,7 @@ from needlefit.mechanics.needle import Needle, require_type
 from needlefit.mechanics.packing import PackedStops, compute_turn, count_planes, list_tip, pack_problem
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, TipStop, check_reach, check_size, find_input_path
 from needlefit.mechanics.shape import NeedleShape, compute_scales
-from needlefit.mechanics.simulate import STATUS_NAMES, compute_loads
+from needlefit.mechanics.simulate import STATUS_NAMES
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import find_roll, follow_hub
 from needlefit.schemas.limits import MAX_ELEMENTS, MAX_GUIDES, MAX_STEPS
@@ -332,24 +331,3 @@ class _InputIds(Generic[T]):
         """Drop all inputs but those of some numbers."""
         self._numbers = {value: number for value, number in self._numbers.items() if number in used}
         self._max_kept = 256 + 2 * len(self._numbers)
-
-
-def find_tip_force(
-    needle: Needle, tissue: Tissue, path: Sequence[Step], first_cell: float, rules: ModelOptions
-) -> float:
-    """Return the force on the tip, N, in space its size, as the tip stood at its last constraint point.
-
-    `path` are the steps that lead to the needle from first contact on. Between two constraint points the
-    force rises and falls by how the model divides the path, which no measurement shows.
-    """
-    cells = math.floor((path[-1].depth - first_cell + 1e-9) / rules.spacing)
-    last = first_cell + cells * rules.spacing if cells >= 0 else 0.0
-    session = Session(needle, tissue, path[0].bevel, first_cell, path[0].controls, rules)
-    for step in path:
-        shape = session.go(replace(step, depth=min(step.depth, last)))
-        if step.depth >= last - 1e-9:
-            break
-    loads = compute_loads(shape, tissue, needle, step.controls, rules)
-    if not shape.leaves_plane:
-        return loads.tip_force
-    return math.hypot(loads.tip_force, loads.tip_region_force_z + loads.tip.force_z)

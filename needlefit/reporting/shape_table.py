@@ -1,4 +1,4 @@
-"""Tabulate a needle's shape."""
+"""Tabulate and draw a needle's shape."""
 
 from pathlib import Path
 
@@ -7,19 +7,17 @@ import pandas as pd
 import scipy
 
 from needlefit.arrays import Floats
+from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Placement
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.session import NeedleState
-from needlefit.mechanics.shape import compute_positions
+from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import compute_lateral_load
-from needlefit.project.folders import require_folder
-from needlefit.reporting.table_files import write_csv
 
 _WORLD_COLUMNS = ("world_x_mm", "world_y_mm", "world_z_mm")
 _MIN_STATION_DISTANCE_MM = 1e-6  # mm: a node so near a whole millimetre stands for it
 
 
-def tabulate_shape(scene: Scene, moment: NeedleState, placement: Placement | None = None) -> pd.DataFrame:
+def tabulate_shape(scene: Scene, shape: NeedleShape, placement: Placement | None = None) -> pd.DataFrame:
     """Return one row for every node and every whole millimetre of the needle, base first.
 
     `placement` is where a measured needle lies.
@@ -39,7 +37,7 @@ def tabulate_shape(scene: Scene, moment: NeedleState, placement: Placement | Non
     layer
         From 1; none before the tissue.
     """
-    shape, tissue = moment.shape, moment.tissue
+    tissue = scene.tissue
     whole = np.arange(np.ceil(shape.x[0]), shape.x[-1])
     near = np.abs(whole[:, None] - shape.x).min(axis=1) < _MIN_STATION_DISTANCE_MM
     s = np.union1d(shape.x, whole[~near])
@@ -66,7 +64,23 @@ def _interpolate_slope(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats
     return scipy.interpolate.CubicHermiteSpline(x, u, slope)(s, 1)
 
 
-def write_shape(scene: Scene, moment: NeedleState, path: Path, placement: Placement | None = None) -> None:
-    """Write the table of a shape, .csv; ConfigError if the folder of `path` does not exist."""
-    require_folder(path)
-    write_csv(tabulate_shape(scene, moment, placement), path)
+def draw_shape(table: pd.DataFrame, path: Path) -> None:
+    """Draw a tabulated needle and its load, in a colour for each layer; out of the plane too where it goes.
+
+    ConfigError if the ending of `path` is neither .pdf nor .png.
+    """
+    # late: matplotlib takes its time to load
+    from needlefit.reporting.figures import Panel
+    from needlefit.reporting.figures.forms import curves
+    from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw
+
+    if path.suffix not in (".pdf", ".png"):
+        fix = f"write to {path.stem or 'needle'}.pdf"
+        raise ConfigError("is no figure", where=path, expected="a name that ends in .pdf or .png", fix=fix)
+    columns = {"y (mm)": "y_mm", "load (N/mm)": "load_n_per_mm"}
+    if table["z_mm"].any():
+        columns |= {"z (mm)": "z_mm", "load along z (N/mm)": "load_z_n_per_mm"}
+    panels = [Panel(label, column, column, column) for label, column in columns.items()]
+    parts = table["layer"].map("layer {}".format, na_action="ignore").fillna("outside the tissue")
+    frame, size = table.assign(part=parts), (TEXT_WIDTH_IN, 1.7 * len(panels))
+    draw(path, lambda: curves(frame, "x_mm", "part", panels, "x along the entry (mm)", size=size))

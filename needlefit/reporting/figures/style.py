@@ -2,7 +2,6 @@
 of labels.
 """
 
-import json
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -25,11 +24,9 @@ from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
-from needlefit.errors import ConfigError
-from needlefit.project.folders import require_folder
 from needlefit.reporting.fonts import FAMILY, find_fonts, find_lacking, spell
 from needlefit.reporting.labels import ALARM_COLOUR, GREY, INK
-from needlefit.reporting.sheet import PLAIN_SHEET, compile_sheet
+from needlefit.reporting.sheet import compile_sheet
 from needlefit.reporting.table_files import write_csv
 
 TEXT_WIDTH_IN = 7.16  # inches: the text width of the report, and of both columns of a paper together (IEEE)
@@ -82,7 +79,7 @@ RC_PARAMS = {
     "axes.spines.right": False,
     "lines.solid_capstyle": "round",
     "legend.frameon": False,
-    "svg.fonttype": "path",
+    "svg.fonttype": "none",
     # A fixed salt, or the ids in the file would be random.
     "svg.hashsalt": "needlefit",
     "figure.constrained_layout.use": True,
@@ -94,58 +91,35 @@ RC_PARAMS = {
 def plot(path: Path, frame: pd.DataFrame, paint: Callable[[pd.DataFrame], Figure]) -> Path:
     """Draw a table and save the table beside the figure, as CSV: the figure shows only what the table
     contains.
-
-    ConfigError as `draw`.
     """
     draw(path, lambda: paint(frame))
     write_csv(frame, path.with_suffix(".csv"))
     return path
 
 
-def draw(path: Path, paint: Callable[[], Figure], description: str = "") -> Path:
-    """Draw a figure in the package's style, independent of the user's, and save it in the format of its
-    suffix.
-
-    With a description, which the file keeps, its text is text that can be edited.
-
-    ConfigError if the suffix is none of .pdf, .png and .svg, or the folder does not exist.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in (*_METADATA, ".pdf"):
-        raise ConfigError(
-            f"cannot draw a `{suffix}` file" if suffix else "the file name has no ending",
-            where=path,
-            expected="a name that ends in .pdf, .png or .svg",
-            fix=f"write to {path.stem or 'figure'}.pdf",
-        )
-    require_folder(path)
-    if suffix != ".pdf":
-        path.write_bytes(_paint_bytes(paint, suffix, description))
+def draw(path: Path, paint: Callable[[], Figure]) -> Path:
+    """Draw a figure in the package's style, independent of the user's, and save it as .pdf or .png."""
+    if path.suffix == ".png":
+        path.write_bytes(paint_bytes(paint, ".png"))
     else:
-        words = json.dumps(description, ensure_ascii=False)
-        sheet = PLAIN_SHEET.replace(
-            "date: none", f"date: none, description: {words}" if description else "date: none"
-        )
         # text as text, whose fonts typst embeds: matplotlib takes half of its time to a PDF for the part of a
         # font that is used
-        path.write_bytes(compile_sheet(_paint_bytes(paint, ".svg", text_as_text=True), ".svg", sheet))
+        path.write_bytes(compile_sheet(paint_bytes(paint, ".svg"), ".svg"))
     return path
 
 
-def _paint_bytes(
-    paint: Callable[[], Figure], suffix: str, description: str = "", text_as_text: bool = False
-) -> bytes:
-    style = {"svg.fonttype": "none"} if suffix == ".svg" and (text_as_text or description) else {}
-    with matplotlib.style.context(["default", {**RC_PARAMS, **style}]):
+def paint_bytes(paint: Callable[[], Figure], suffix: str) -> bytes:
+    """Return a figure in the package's style as the bytes of an .svg or .png file."""
+    with matplotlib.style.context(["default", RC_PARAMS]):
         with warnings.catch_warnings():  # painters may lay out names before their letters have a font
             warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
             figure = paint()
-            if style:  # its letters stand in the drawing: no part of the figure has to be asked
-                drawing = save_figure(figure, suffix, description)
+            if suffix == ".svg":  # its letters stand in the drawing: no part of the figure has to be asked
+                drawing = save_figure(figure, suffix)
                 if not find_lacking(drawing.decode()):
                     return drawing
         choose_fonts(figure)
-        return save_figure(figure, suffix, description)
+        return save_figure(figure, suffix)
 
 
 def choose_fonts(figure: Figure) -> None:
@@ -159,16 +133,16 @@ def choose_fonts(figure: Figure) -> None:
             text.set_fontfamily([FAMILY, *find_fonts(lacking).values()])
 
 
-def save_figure(figure: Figure, suffix: str, description: str = "") -> bytes:
+def save_figure(figure: Figure, suffix: str) -> bytes:
     """Return a figure made without pyplot as the bytes of an .svg or .png file."""
     canvas, drawing = _CANVASES[suffix](figure), BytesIO()
     figure.dpi = _SAVED_DPI
-    _lay_out(figure)
+    if figure.axes and (engine := figure.get_layout_engine()) is not None:
+        engine.execute(figure)  # places the axes, which matplotlib else does when it draws
     figure.set_layout_engine("none")
     figure.dpi = _SAVED_DPI  # the layout of an SVG leaves 72
-    about = {"Description": description} if description else {}
     # `savefig` would draw twice, once for the layout alone
-    getattr(canvas, f"print_{suffix[1:]}")(drawing, metadata={**_METADATA[suffix], **about})
+    getattr(canvas, f"print_{suffix[1:]}")(drawing, metadata=_METADATA[suffix])
     return drawing.getvalue()
 
 
@@ -213,19 +187,6 @@ def set_margins(
     figure.set_layout_engine("none")
     for axes, spec in placed:
         axes.set_position(spec.get_position(figure))
-
-
-def _lay_out(figure: Figure) -> None:
-    """Place the axes of a figure, which matplotlib else does when it draws."""
-    if figure.axes and (engine := figure.get_layout_engine()) is not None:
-        engine.execute(figure)
-
-
-def fit_height(figure: Figure) -> None:
-    """Set a figure's height to that of its contents; axes of fixed aspect may not fill it."""
-    _lay_out(figure)
-    margin = 0.04  # inches, as the layout leaves at the sides
-    figure.set_figheight(figure.get_tightbbox().height + 2 * margin)
 
 
 def choose_vertical_scale(width: float, height: float) -> int:

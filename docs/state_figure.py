@@ -1,11 +1,10 @@
-"""Draw a needle in its layers: one state, with its forces, in the constraint frame C."""
+"""The needle of the animation in its layers, with its forces, in the constraint frame C."""
 
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.mechanics.simulate import Loads, compute_loads
 from needlefit.mechanics.torsion import find_roll
-from needlefit.reporting.figures.style import choose_vertical_scale, draw, fit_height
+from needlefit.reporting.figures.style import choose_vertical_scale
 from needlefit.reporting.labels import GREY, INK
 from needlefit.reporting.number_format import format_quantity
 
@@ -42,12 +41,6 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "path": {"color": COLOURS["path"], "lw": 0.9},
     "load": {"fc": to_rgba(COLOURS["load"], 0.32), "ec": COLOURS["load"], "lw": 0.5},
 }
-_ARROW = {
-    "arrowstyle": "-|>,head_width=0.12,head_length=0.3",
-    "color": COLOURS["load"],
-    "lw": 0.8,
-}  # an arrow is a force, as on the page
-_ARROW |= {"shrinkA": 0, "shrinkB": 0}
 _LAYER_COLOURS = LinearSegmentedColormap.from_list("layers", ["#f7f4ee", "#d3c7ae"])
 Span = tuple[float, float]
 
@@ -86,24 +79,19 @@ def label_layers(scene: Scene, widths: Mapping[int, float]) -> dict[int, str]:
     return labels
 
 
-def _see(points: Floats, above: bool) -> Floats:
-    """Return points (K, 3) of C as they are seen: x and y from the side, x and z from above."""
-    return points[:, [0, 2 if above else 1]]
-
-
-def _trace(shape: NeedleShape, above: bool = False) -> Floats:
+def _trace(shape: NeedleShape) -> Floats:
     """Return points of the needle from base to tip, (300, 2) mm."""
-    return _see(compute_positions(shape, np.linspace(shape.x[0], shape.depth, 300)), above)
+    return compute_positions(shape, np.linspace(shape.x[0], shape.depth, 300))[:, :2]
 
 
-def _find_guides(step: Step, above: bool = False) -> Floats:
+def _find_guides(step: Step) -> Floats:
     """Return the places of the guides in C, (G, 2) mm."""
-    places = [(guide.x, guide.z if above else guide.y) for guide in step.controls.guides]
+    places = [(guide.x, guide.y) for guide in step.controls.guides]
     return np.reshape(np.array(places, dtype=np.float64), (-1, 2))
 
 
-def _draw_layers(axes: Axes, scene: Scene, scale: float | None) -> None:
-    """Shade the layers, the darker the stiffer; with a `scale` (inches per mm) label them."""
+def _draw_layers(axes: Axes, scene: Scene, scale: float) -> None:
+    """Shade the layers, the darker the stiffer, and label them; `scale` in inches per mm."""
     stiffness = np.log10(scene.tissue.mu)
     decades = max(float(np.ptp(stiffness)), 1.0)  # one at least, so that like layers look alike
     edges = np.array([0.0, *scene.tissue.boundaries, _BEYOND_PANEL_MM])
@@ -112,8 +100,6 @@ def _draw_layers(axes: Axes, scene: Scene, scale: float | None) -> None:
         axes.axvspan(top, bottom, color=shade, lw=0, zorder=0)
         axes.axvline(top, color="white" if i else INK, lw=1.2 if i else 0.6, zorder=0.5)
     axes.axhline(0.0, color=GREY, lw=0.5, ls=(0, (4, 3)), zorder=1)
-    if scale is None:
-        return
     shown = np.clip(edges, *axes.get_xlim())
     room = dict(enumerate(np.diff(shown).tolist()))
     least = 0.03 * (shown[-1] - axes.get_xlim()[0])
@@ -125,11 +111,11 @@ def _draw_layers(axes: Axes, scene: Scene, scale: float | None) -> None:
         )  # fmt: skip
 
 
-def _draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape, above: bool = False) -> None:
+def _draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape) -> None:
     """Draw a needle, its constraint points and its supports; or the reason why there is no needle."""
-    for guide in _find_guides(step, above):
+    for guide in _find_guides(step):
         axes.plot(*guide, zorder=5, **_LOOKS["guide"])
-    base, stage = step.controls.base[3 * above], step.controls.base[3 * above + 2]  # known without a solution
+    base, stage = step.controls.base[0], step.controls.base[2]  # known without a solution
     axes.plot(step.depth - scene.needle.length, base + stage * step.depth, zorder=5, **_LOOKS["base"])
     if not shape.converged:
         axes.text(
@@ -138,9 +124,9 @@ def _draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape, above
             bbox={"fc": "white", "alpha": 0.7, "lw": 0, "pad": 2},
         )  # fmt: skip
         return
-    places = _see(map_beam_points(shape, shape.constraints), above)
+    places = map_beam_points(shape, shape.constraints)[:, :2]
     axes.plot(*places.T, zorder=2, **_LOOKS["points"])
-    needle = _trace(shape, above)
+    needle = _trace(shape)
     axes.plot(*needle.T, zorder=3, **_LOOKS["needle"])
     axes.plot(*needle[-1], zorder=6, **_LOOKS["tip"])
 
@@ -185,12 +171,9 @@ def describe_inputs(step: Step) -> list[str]:
     return parts
 
 
-def describe_state(
-    state: NeedleState, loads: Loads, tip_force: float | None, letters: int
-) -> tuple[list[str], list[str]]:
-    """Return the text above a drawing: position and supports of the needle, and its tip with the force on it.
-
-    In lines, the first of at most so many letters.
+def describe_state(state: NeedleState, loads: Loads, letters: int) -> tuple[list[str], list[str]]:
+    """Return the text above a drawing: position and supports of the needle in lines of so many letters; its
+    tip.
     """
     step = state.step
 
@@ -205,10 +188,7 @@ def describe_state(
     for n, (guide, held) in enumerate(zip(step.controls.guides, loads.guides, strict=True), start=1):
         supports.append(force(guide.name or f"guide {n}", held.force))
     lines = [line for part in (position, supports) for line in textwrap.wrap(_SEPARATOR.join(part), letters)]
-    along_y = f"{state.shape.tip_lateral:+z.2f} mm"  # and along z, of a needle that leaves the plane z = 0
-    across = f"y {along_y}, z {state.shape.tip_z:+z.2f} mm" if state.shape.leaves_plane else along_y
-    tip = [_replace_minus(f"tip {across}")]
-    return lines, tip if tip_force is None else [*tip, force("tip force", tip_force)]
+    return lines, [_replace_minus(f"tip {state.shape.tip_lateral:+z.2f} mm")]
 
 
 def _pad_lines(lines: Sequence[str], count: int) -> str:
@@ -219,14 +199,12 @@ def _pad_lines(lines: Sequence[str], count: int) -> str:
 
 # Of the drawing's height.
 _MAX_LOAD_FRACTION = 0.2  # the largest load
-_MAX_FORCE_FRACTION = 0.25  # the tip force
 _ROOM_FRACTION = 0.6  # of the needle's height above and below it, for loads and what is written
 _MIN_BEND_FRACTION = 0.01  # of the depth: smaller deflections are not exaggerated further
 _MAX_HEIGHT_RATIO = 1.1  # height of a panel over its width
 _AXES_IN = 0.6  # inches beside the panel
 _TIP_TEXT_WIDTH_IN = 1.5  # inches, of the text on the tip
 _LEGEND_COLUMN_WIDTH_IN = 1.35  # inches, on an average
-_ONE_LINE = 10_000  # letters: no text is broken
 PRINT_WIDTH_IN = 174 / 25.4  # inches, of both columns of a paper
 
 
@@ -235,19 +213,12 @@ class StateFigure:
 
     Of the scene it has needle, rules and names of layers; tissue and inputs are those of a state. The needle
     is drawn from its base on where more than the bevel steers it, else from the entry on; y is drawn as many
-    times as large as x as its label states. `tip_force`, N, is that of one state, see
-    `find_tip_force`. `per_mm` is the lateral load per drawn millimetre of y, N/mm (0 without a load).
+    times as large as x as its label states. `per_mm` is the lateral load per drawn millimetre of y, N/mm
+    (0 without a load).
     """
 
-    def __init__(
-        self,
-        title: str,
-        scene: Scene,
-        states: Sequence[NeedleState],
-        tip_force: float | None = None,
-    ) -> None:
-        from_above = any(state.shape.leaves_plane for state in states)
-        self._scene, self._tip_force = scene, tip_force
+    def __init__(self, title: str, scene: Scene, states: Sequence[NeedleState]) -> None:
+        self._scene = scene
         loads = [self._compute_loads(state) for state in states]
         x, y, factor = self._choose_view(states)
         self._height_mm = y[1] - y[0]
@@ -258,9 +229,7 @@ class StateFigure:
         height = self._inches * factor * self._height_mm
         # room for the text above the drawing, beside the text on the tip
         self._letters = int((width - _TIP_TEXT_WIDTH_IN) / _LETTER_WIDTH_IN)
-        texts = [
-            describe_state(*pair, tip_force, self._letters)[0] for pair in zip(states, loads, strict=True)
-        ]
+        texts = [describe_state(*pair, self._letters)[0] for pair in zip(states, loads, strict=True)]
         self._lines = max(2, *map(len, texts))
         more_handles = self._list_handles()
         supports = {"base": "base"}
@@ -270,16 +239,9 @@ class StateFigure:
         legend_lines = math.ceil((len(supports) + 2 + len(more_handles)) / columns)
         times = "" if factor == 1 else f", drawn {factor:g}× as large as x"
         x_name, y_name = _NAMES_IN_C[0], f"{_NAMES_IN_C[1]}{times}"
-        z = self._find_span_above(states, x, 0.2 * self._height_mm) if from_above else (0.0, 0.0)
-        tall = height + self._inches * factor * (z[1] - z[0]) + 0.2 * from_above
-        self.figure = Figure(figsize=(width + _AXES_IN, tall + 0.75 + 0.14 * (self._lines + legend_lines)))
-        self._above: Axes | None = None  # the view from above, of needles in space
-        if from_above:
-            ratios = (self._height_mm, z[1] - z[0])
-            self.axes, self._above = self.figure.subplots(2, 1, sharex=True, height_ratios=ratios)
-            self._above.set(ylim=z, aspect=factor, xlabel=x_name, ylabel="z (mm)\nfrom above")
-        else:
-            self.axes = self.figure.add_subplot(xlabel=x_name)
+        tall = height + 0.75 + 0.14 * (self._lines + legend_lines)
+        self.figure = Figure(figsize=(width + _AXES_IN, tall))
+        self.axes = self.figure.add_subplot(xlabel=x_name)
         short = len(y_name) * _LETTER_WIDTH_IN > height
         self.axes.set(xlim=x, ylim=y, aspect=factor, ylabel=y_name.replace(", ", ",\n") if short else y_name)
         letters = int(width / _LETTER_WIDTH_IN)
@@ -292,20 +254,14 @@ class StateFigure:
         for axis in self.figure.axes:
             for old in (*axis.lines, *axis.patches, *axis.texts):
                 old.remove()
-        for panel in filter(None, (axes, self._above)):
-            above = panel is self._above
-            _draw_layers(panel, scene, None if above else self._inches)
-            path = map_beam_points(state.shape, state.shape.tip_path)
-            panel.plot(*_see(path, above).T, zorder=2.5, **_LOOKS["path"])
-            _draw_needle(panel, scene, state.step, state.shape, above)
+        _draw_layers(axes, scene, self._inches)
+        path = map_beam_points(state.shape, state.shape.tip_path)
+        axes.plot(*path[:, :2].T, zorder=2.5, **_LOOKS["path"])
+        _draw_needle(axes, scene, state.step, state.shape)
         loads = self._compute_loads(state)
         if len(outline := self._outline_load(state, loads)):
             axes.fill(*outline.T, zorder=1.8, **_LOOKS["load"])
-        if self._tip_force and not state.shape.leaves_plane:
-            ((x, y, _),) = compute_positions(state.shape, state.shape.x[-1:])
-            length = math.copysign(_MAX_FORCE_FRACTION * self._height_mm, self._tip_force)
-            axes.annotate("", (x, y + length), (x, y), arrowprops=_ARROW, zorder=7)
-        lines, tip = describe_state(state, loads, self._tip_force, self._letters)
+        lines, tip = describe_state(state, loads, self._letters)
         axes.set_title(_pad_lines(lines, self._lines), loc="left", pad=4)
         axes.set_title(_pad_lines(tip, self._lines), loc="right", pad=4, color=COLOURS["tip"])
 
@@ -330,7 +286,7 @@ class StateFigure:
         """Return limits, mm, that hold all these states and their guides, and the scale of y."""
         deepest = max(state.shape.depth for state in states)
         whole = deepest == 0 or any(state.step.controls != Controls() for state in states)
-        traces = [_trace(state.shape, above) for state in states for above in (False, True)]
+        traces = [_trace(state.shape) for state in states]
         guides = [_find_guides(state.step) for state in states]
         points = np.concatenate([*traces, *guides, np.zeros((1, 2))])
         start = float(points[:, 0].min()) if whole else -_MARGIN_BEFORE_ENTRY * deepest
@@ -345,20 +301,11 @@ class StateFigure:
         spare = (y[1] - y[0]) / _MAX_HEIGHT_RATIO - (x[1] - x[0])
         return (x[0], x[1] + max(spare, 0.0)), y, factor
 
-    def _find_span_above(self, states: Sequence[NeedleState], x: Span, least: float) -> Span:
-        """Return the z that the view from above shows, at least so many mm."""
-        traces = [_trace(state.shape, above=True) for state in states]
-        drawn = np.concatenate([*traces, *(_find_guides(state.step, above=True) for state in states)])
-        z = np.append(drawn[(drawn[:, 0] >= x[0]) & (drawn[:, 0] <= x[1]), 1], 0.0)
-        room = max(float(np.ptp(z)), least)
-        middle = float(z.min() + z.max()) / 2
-        return middle - 0.6 * room, middle + 0.6 * room
-
     def _outline_load(self, state: NeedleState, loads: Loads) -> Floats:
         """Return the outline of the load along the shaft: from the needle to it, and back."""
         if len(loads.s) == 0 or self.per_mm == 0:
             return np.empty((0, 2))
-        needle = _see(compute_positions(state.shape, loads.s), above=False)
+        needle = compute_positions(state.shape, loads.s)[:, :2]
         pulled = needle + np.column_stack((np.zeros(len(needle)), self._smooth(loads) / self.per_mm))
         return np.concatenate((needle, pulled[::-1]))
 
@@ -375,28 +322,12 @@ def smooth_load(s: Floats, load: Floats, reach: float) -> Floats:
     return np.where(inside, (total(s + half) - total(s - half)) / np.where(inside, 2 * half, 1.0), load)
 
 
-def draw_state(
-    title: str,
-    scene: Scene,
-    state: NeedleState,
-    path: Path,
-    tip_force: float,
-) -> None:
-    """Draw one state of an insertion with its forces to a .pdf, .png or .svg file; else as `StateFigure`.
-
-    It is made for print: in the width of a column, its text as text, and what is written above it as the
-    description of the file. ConfigError if the ending of `path` is another one, or its folder does not exist.
-    """
-
-    def paint() -> Figure:
-        drawn = StateFigure(title, scene, [state], tip_force)
-        drawn.paint(state)
-        fit_height(drawn.figure)
-        return drawn.figure
-
-    loads = compute_loads(state.shape, state.tissue, scene.needle, state.step.controls, scene.rules)
-    lines, tip = describe_state(state, loads, tip_force, _ONE_LINE)
-    draw(path, paint, _SEPARATOR.join([title, *lines, *tip]))
+def fit_height(figure: Figure) -> None:
+    """Set a figure's height to that of its contents; axes of fixed aspect may not fill it."""
+    if (engine := figure.get_layout_engine()) is not None:
+        engine.execute(figure)
+    margin = 0.04  # inches, as the layout leaves at the sides
+    figure.set_figheight(figure.get_tightbbox().height + 2 * margin)
 
 
 def round_up(value: float) -> float:
