@@ -10,8 +10,7 @@ from page_files import run_node
 from pytest import approx
 
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.viewer.overlays import make_measured_overlay
-from needlefit.viewer.page_needle import encode_measured
+from needlefit.viewer.measured import encode_insertion
 
 PLAN = insertion(40.0, [17.5], (1, 2))
 MEASURED = measure(TRUTH, medium(), PLAN)
@@ -44,8 +43,7 @@ console.log(JSON.stringify(depths.map((depth) => computeErrors(straight(depth), 
 def test_errors_up_to_the_depth_in_common():
     """Of straight needles of some depths from one that is measured at an angle."""
     angle, depths, one = 0.05, (12.5, 39.999, 40.0, 55.0), oblique(0.05)
-    overlay = make_measured_overlay(dataset([one]), one, 0.2, straight(one.depth))
-    measured = {"depth_mm": overlay.depth, **encode_measured(overlay)}
+    measured = encode_insertion(dataset([one]), one, 0.2, straight(one.depth))
     for depth, found in zip(depths, run_node(ERRORS, {"measured": measured, "depths": depths}), strict=True):
         upto = min(depth, 40.0)
         chord = 2 * upto * math.sin(angle / 2)

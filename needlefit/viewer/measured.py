@@ -1,30 +1,33 @@
-"""Open a measured insertion of a dataset or run: needle, layers, overlays, and parameters to start with."""
+"""Open a measured insertion of a dataset or run: needle, layers, start parameters, what is compared."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from needlefit.datasets.compared import set_compared
 from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.datasets.read import read_shapes, require_shapes
 from needlefit.errors import DataError
-from needlefit.geometry.frames import Placement, move_frame
+from needlefit.geometry.frames import Placement, align_rigid, move_frame
+from needlefit.inference.compared_points import align
 from needlefit.inference.forward_model import select_layer_draws
 from needlefit.inference.likelihood.observations import estimate_floor, select_points
 from needlefit.inference.parameters import Parameters
-from needlefit.mechanics.shape import compute_positions
+from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import find_last_shape
 from needlefit.planning.insertion_scene import find_layers, make_scene_record
 from needlefit.planning.steered_needle import make_steered_scene
 from needlefit.project.locate import ViewTarget, find_file, list_names, unknown_name_error
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
+from needlefit.reporting.needle_page import encode_measured
 from needlefit.reporting.table_files import select_rows
 from needlefit.schemas.compared import DIRECTIONS
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.origin import ORIGIN_MARKS
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import FitMetadata
-from needlefit.viewer.overlays import make_measured_overlay
 from needlefit.viewer.viewed_scene import ViewedScene
 
 SHOWN_METHOD = "fitted"  #: the method of a run whose parameters are shown
@@ -110,20 +113,45 @@ def _show_insertion(
         points = compute_positions(shape, s)
         moved = place_points(dataset, insertion, s, points)
         frame = move_frame(frame, points, moved)
-    overlay = make_measured_overlay(dataset, insertion, floor["te_mm"], shape)
-    drawn = overlay.target.quantity == "places"
+    measured = encode_insertion(dataset, insertion, floor["te_mm"], shape)
+    note = "" if measured else " Curvatures were measured; they are not drawn."
     return ViewedScene(
         name=f"{name}/{insertion.id}",
         title=title,
-        note=f"{shown.description}{'' if drawn else ' Curvatures were measured; they are not drawn.'}",
+        note=f"{shown.description}{note}",
         record=record,
         first_cell=scene.lattice.first_cell,
         placement=Placement(frame, insertion.patient).to_record() if placed else None,
         origin_mark=ORIGIN_MARKS[dataset.origin],
         is_measured=True,
-        measured=overlay if drawn else None,
+        measured=measured,
         warnings=dataset.warnings,
     )
+
+
+def encode_insertion(
+    dataset: Dataset, insertion: Insertion, floor: float, shape: NeedleShape
+) -> dict[str, Any] | None:
+    """Return a measured insertion as the page draws and compares it; None where no places were measured.
+
+    `floor` is the TE of its noise floor, mm, in space where the dataset's needles are compared there; NaN
+    where there is none. A shape whose pose, or the place of whose entry, is unknown is laid on `shape`.
+    """
+    aim = select_points(dataset.pose, dataset.drop_proximal, insertion, compared=dataset.compared)
+    if aim.quantity != "places":
+        return None
+    points, s = insertion.points, insertion.measure_arc(dataset.compared)
+    s = s * (insertion.depth / s[-1])
+    if dataset.pose == "free":
+        points, s = aim.measured.copy(), aim.s
+        if shape.converged:
+            points[:, :2] = align_rigid(points[:, :2], compute_positions(shape, s)[:, :2])
+    elif aim.pose == "direction" and shape.converged:
+        points = align(aim.pose, points, compute_positions(shape, s))
+    target = {"compared": aim.compared, "pose": aim.pose, "s": aim.s, "points": aim.measured}
+    stated = None if math.isnan(floor) else floor
+    encoded = encode_measured(insertion.id, points, s, insertion.depth, stated, target)
+    return encoded | {"prediction": None}
 
 
 def open_run(view_target: ViewTarget) -> ViewedScene:
@@ -173,9 +201,9 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     shown = StartParameters(stated.medium, values, description)
     viewed_scene = _show_insertion(dataset, insertion, shown, view_target.name, stated.recipe.seed)
     measured = viewed_scene.measured
-    if measured is not None and measured.target.pose == "known":
+    if measured is not None and measured["target"]["pose"] == "known":
         prediction = find_prediction(run, fold.name, "validate", insertion.id)
-        viewed_scene = replace(viewed_scene, measured=replace(measured, prediction=prediction))
+        viewed_scene = replace(viewed_scene, measured={**measured, "prediction": prediction})
     known = {(one.kind, one.what) for one in viewed_scene.warnings}  # of the dataset, with the paths of files
     warnings = [one for one in run.warnings if (one.kind, one.what) not in known]
     warnings += viewed_scene.warnings

@@ -9,7 +9,6 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.planning.recording import RecordedStep, Recording, format_head
 from needlefit.planning.steered_needle import SteeredNeedle, list_scene_changes, make_steered_scene
 from needlefit.reporting import needle_page
-from needlefit.viewer.overlays import MeasuredOverlay
 from needlefit.viewer.viewed_scene import ViewedScene
 
 if TYPE_CHECKING:
@@ -66,22 +65,14 @@ def encode_plan(plan: "SteeringPlan") -> dict[str, Any]:
 
 
 def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str, Any]:
-    """Return all that stays constant: the needle, the layers, the overlays."""
+    """Return all that stays constant: the needle, the layers, the measured needle, the draws."""
     scene, names, spread = steering.scene, steering.names, viewed_scene.spread
     changes = list_scene_changes(scene.steps, names)
     mark = viewed_scene.origin_mark
     return needle_page.encode_scene(scene, steering.first_cell, names, changes, viewed_scene.title, mark) | {
-        "measured": viewed_scene.measured and encode_measured(viewed_scene.measured),
+        "measured": viewed_scene.measured,
         "draws": spread and needle_page.encode_draws(spread, scene.tissue.law),
     }
-
-
-def encode_measured(shown: MeasuredOverlay) -> dict[str, Any]:
-    """Return a measured needle as the page draws and compares it."""
-    aim = shown.target
-    target = {"compared": aim.compared, "pose": aim.pose, "s": aim.s, "points": aim.measured}
-    encoded = needle_page.encode_measured(shown.id, shown.points, shown.s, shown.depth, shown.floor, target)
-    return encoded | {"prediction": shown.prediction}
 
 
 def encode_tables(tissue: Tissue, steps: Sequence[RecordedStep]) -> list[Any]:

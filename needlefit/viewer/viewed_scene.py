@@ -1,14 +1,14 @@
 """What the viewer shows of one name of the command line: a scene, a recording, or a measured insertion."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from needlefit.planning.steerable_scene import SteerableScene
 from needlefit.project.result_warnings import ResultWarning
 
 if TYPE_CHECKING:
     from needlefit.studies.run import Run
-    from needlefit.viewer.overlays import MeasuredOverlay
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +18,7 @@ class ViewedScene(SteerableScene):
     title: str
     note: str  #: where the parameters come from, and what cannot be shown and why; sentences
     origin_mark: str = ""  #: that its data were not measured
-    measured: "MeasuredOverlay | None" = None
+    measured: Mapping[str, Any] | None = None  #: the measured needle as the page has it
     #: what they are for: a specimen that was not fitted, with the spread between specimens, or one that was
     specimen: Literal["new", "same", ""] = ""
     fitted_depths: tuple[float, ...] = ()  #: of the insertions that a run has fitted, mm
