@@ -95,7 +95,9 @@ def test_an_error_of_a_surface_is_taken_off_whole_where_insertions_share_it(shar
     depths = {"boundary_sd": 0.5, "boundary_shared_sd": shared_sd, "specimen": "one"}
     first, second = one_needle(**depths), replace(one_needle(**depths), id="second")
     p = bevel_alone([first, second], Noise(0.0, 1e-6, 0.0, 5.0))
-    deeper, shallower = (predict(TRUTH, p.medium, first, np.array([14.0 + step])) for step in (0.5, -0.5))
+    deeper, shallower = (
+        predict(TRUTH, p.medium, replace(first, boundaries=np.array([14.0 + step]))) for step in (0.5, -0.5)
+    )
     effect = np.diff([sample_inserted_points(one, 2)[-1, 1] for one in (shallower, deeper)])[0] / 2
     assert estimate(p).by_noise == approx(factor * abs(effect), rel=0.15)
 

@@ -156,7 +156,7 @@ def oblique(planned):
 
 
 def shape_with(planned, boundary):
-    return predict(WRONG, medium(), planned, np.array([boundary]), (1, 2))
+    return predict(WRONG, medium(), replace(planned, boundaries=np.array([boundary]), sequence=(1, 2)))
 
 
 def own_crossing(planned):

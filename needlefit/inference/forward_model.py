@@ -41,38 +41,25 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def predict(
-    values: Mapping[str, float],
-    medium: MediumRecord,
-    insertion: Insertion,
-    boundaries: Floats | None = None,
-    sequence: Sequence[int] | None = None,
-) -> NeedleShape:
-    """Return the needle shape that the model predicts for one insertion, of which only needle, depth, bevel
-    and guide count.
+def predict(values: Mapping[str, float], medium: MediumRecord, insertion: Insertion) -> NeedleShape:
+    """Return the needle shape that the model predicts for one insertion, of which only needle, depth, bevel,
+    guide and layers count.
 
-    `values` are all parameters of the medium, ties resolved (Pa, mm). `boundaries` (n - 1,), mm, and the
-    `sequence` of n layer numbers replace the measured ones, e.g. along the planned path.
+    `values` are all parameters of the medium, ties resolved (Pa, mm).
 
     Raises ModelError if the needle does not reach the depth; a solve that fails is a value, `converged`.
     """
-    return find_last_shape(*make_simulation_inputs(values, medium, insertion, boundaries, sequence))
+    return find_last_shape(*make_simulation_inputs(values, medium, insertion))
 
 
 def make_simulation_inputs(
-    values: Mapping[str, float],
-    medium: MediumRecord,
-    insertion: InsertionInputs,
-    boundaries: Floats | None = None,
-    sequence: Sequence[int] | None = None,
+    values: Mapping[str, float], medium: MediumRecord, insertion: InsertionInputs
 ) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
     """Return the arguments of `simulate_steps` and `linearize_along` for one insertion.
 
     Both solve to `MAX_TOLERANCE_MM`, so that values and derivatives are of one state: searches compare them.
     """
-    layers = insertion.sequence if sequence is None else sequence
-    depths = insertion.boundaries if boundaries is None else boundaries
-    tissue = make_tissue(values, layers, depths, medium)
+    tissue = make_tissue(values, insertion.sequence, insertion.boundaries, medium)
     steps = _make_steps(values, insertion, medium)
     return insertion.needle, tissue, steps, make_options(medium, MAX_TOLERANCE_MM)
 
@@ -91,11 +78,11 @@ def tabulate_sets(sets: Sequence[Mapping[str, float]]) -> dict[str, Floats]:
 
 
 def stack_values(
-    table: Mapping[str, Floats], medium: MediumRecord, sequence: Sequence[int], factor: float = 1.0
+    table: Mapping[str, Floats], medium: MediumRecord, sequence: Sequence[int]
 ) -> dict[str, Floats]:
-    """Return what sets of values, (B,) each, give a `Batch` into layers `sequence`; bevels by a `factor`."""
+    """Return what sets of values, (B,) each, give a `Batch` into layers `sequence`."""
     drawn = select_layer_draws(table, sequence, medium.law)
-    return replace(drawn, bevel=factor * drawn.bevel).stack(path_angle=medium.advance == "path_angle")
+    return drawn.stack(path_angle=medium.advance == "path_angle")
 
 
 DEPTH_TOLERANCE_MM = 1e-9  #: mm; depths closer than this are one

@@ -5,7 +5,7 @@ the straight planned path instead, and repeats the simulation with the crossings
 until they converge.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,13 +14,14 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.layers import find_layers
 from needlefit.inference.forward_model import predict
-from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
+from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.medium import MediumRecord
 
 Layers = tuple[Floats, tuple[int, ...]]
 
 CROSSING_TOLERANCE_MM = 1e-3  #: crossings that move by less, mm, stand still
-MAX_ROUNDS = 30  #: rounds in which they must; past the first ten each moves them only half way
+MAX_ROUNDS = 30  #: rounds in which they must
+HALVED_ROUNDS = 10  #: rounds after which each moves them only half way
 MAX_DRAWN_LAYERS = 32  #: errors drawn for an insertion, so that what a draw is does not depend on its layers
 
 
@@ -29,42 +30,30 @@ def with_planned_layers(
 ) -> Insertion | None:
     """Return an insertion with the layers that `values` (Pa, mm) predict, not the measured ones.
 
-    None where `planned_layers` finds none, or the needle leaves the medium; layers that are stated as depths
-    stay as they are.
+    Of the insertion its depth, surfaces and frame are used. The frame is the entry pose and the bending
+    plane, which comes from the bevel where the dataset states it, else from the shape. Layers that are stated
+    as depths stay as they are.
+
+    None where a solve fails, the crossings do not come to rest, or the needle leaves the medium.
     """
     if not insertion.surfaces:
         return insertion
-    layers = planned_layers(
-        insertion,
-        lambda boundaries, sequence: predict(values, medium, insertion, boundaries, sequence),
-    )
-    if layers is None or max(layers[1]) > medium.layers:
-        return None
-    return replace(insertion, boundaries=layers[0], sequence=layers[1])
-
-
-def planned_layers(
-    insertion: Insertion, predict: Callable[[Floats, tuple[int, ...]], NeedleShape]
-) -> Layers | None:
-    """Return boundaries (n - 1,) along C's x and the n layers that the simulated needle meets.
-
-    None where a solve fails, or the crossings do not come to rest. `predict` takes boundaries and sequence to
-    the simulated shape. Of the insertion its depth, surfaces and frame alone are used. The frame is the entry
-    pose and the bending plane, which comes from the bevel where the dataset states it, else from the shape.
-    """
     # the straight planned path; it uses nothing of the measured shape
     path = np.outer(np.linspace(0.0, insertion.depth, 101), (1.0, 0.0, 0.0))
-    layers = find_path_layers(path, insertion)
+    depths, sequence = find_path_layers(path, insertion)
     for round_ in range(MAX_ROUNDS):
-        shape = predict(*layers)
+        shape = predict(values, medium, replace(insertion, boundaries=depths, sequence=sequence))
         if not shape.converged:
             return None
-        after = find_path_layers(sample_inserted_points(shape), insertion)
-        same = after[1] == layers[1]
-        if same and np.all(np.abs(after[0] - layers[0]) < CROSSING_TOLERANCE_MM):
-            return after
-        # crossings can alternate between two states; half steps damp that
-        layers = (0.5 * (after[0] + layers[0]), after[1]) if same and round_ >= 10 else after
+        before = depths, sequence
+        depths, sequence = find_path_layers(sample_inserted_points(shape), insertion)
+        if sequence != before[1]:
+            continue
+        if np.all(np.abs(depths - before[0]) < CROSSING_TOLERANCE_MM):
+            left = max(sequence) > medium.layers
+            return None if left else replace(insertion, boundaries=depths, sequence=sequence)
+        if round_ >= HALVED_ROUNDS:  # crossings can alternate between two states; half steps damp that
+            depths = 0.5 * (depths + before[0])
     return None
 
 

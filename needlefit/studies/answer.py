@@ -87,11 +87,6 @@ class Outcome(StrEnum):
         member.status, member.passed, member.advice = status, passed, advice
         return member
 
-    @property
-    def is_tested(self) -> bool:
-        """Whether it is of a test of several trials."""
-        return self in (self.GENERALISES, self.NOT_SHOWN, self.DOES_NOT_GENERALISE)
-
 
 class Check(StrEnum):
     """A question to a result that is answered by yes or no."""

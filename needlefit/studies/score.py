@@ -7,7 +7,6 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, find_pose
 from needlefit.datasets.noise import NoiseFloor, state_tip_errors
 from needlefit.datasets.select import count_layers, name_holes, select_same_needle
@@ -23,10 +22,9 @@ from needlefit.inference.likelihood.observations import (
     list_comparisons,
     list_scored,
 )
-from needlefit.inference.planned_layers import planned_layers
+from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import NeedleShape
 from needlefit.metrics import TE, compute_metrics, list_metrics
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.medium import MediumRecord
@@ -48,25 +46,22 @@ def model_predictor(values: Mapping[str, float], medium: MediumRecord) -> Predic
     """
 
     def curves(insertion: Insertion) -> dict[str, Curve | None]:
-        def shape_at(boundaries: Floats | None, sequence: tuple[int, ...] | None) -> NeedleShape:
-            return predict(values, medium, insertion, boundaries, sequence)
-
-        shapes: dict[str, NeedleShape | None] = {"measured": shape_at(None, None)}
-        if insertion.surfaces:
-            planned = planned_layers(insertion, shape_at)
-            shapes["planned"] = None if planned is None else shape_at(*planned)
-        return {
-            kind: SimulatedCurve(shape, insertion) if shape is not None and shape.converged else None
-            for kind, shape in shapes.items()
-        }
+        measured = {"measured": _simulate(values, medium, insertion)}
+        planned = {"planned": predict_needle(values, medium, insertion)} if insertion.surfaces else {}
+        return measured | planned
 
     return curves
 
 
+def _simulate(values: Mapping[str, float], medium: MediumRecord, insertion: Insertion) -> Curve | None:
+    shape = predict(values, medium, insertion)
+    return SimulatedCurve(shape, insertion) if shape.converged else None
+
+
 def predict_needle(values: Mapping[str, float], medium: MediumRecord, insertion: Insertion) -> Curve | None:
     """Return the needle of given values through the layers that it meets itself; None without a solution."""
-    needle = model_predictor(values, medium)(insertion)
-    return needle.get("planned", needle["measured"])
+    met = with_planned_layers(insertion, values, medium)
+    return None if met is None else _simulate(values, medium, met)
 
 
 def curve_predictor(curve: Callable[[Insertion], Curve]) -> Predictor:
