@@ -83,6 +83,16 @@ def test_a_step_is_named_with_the_point_where_it_is_and_its_size():
     assert one.size == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.parametrize("end", [0, -1])
+def test_a_first_point_or_tip_that_is_off_alone_is_named_with_its_number_and_how_far_it_is_off(end):
+    made = measure_needles(3)
+    made[4] = made[4].with_points(made[4].points + [0, 1.0, 0] * (made[4].points == made[4].points[end]))
+    (needle,) = doubt(made)
+    number = 1 if end == 0 else len(made[4].points)
+    assert (needle.insertion, needle.cause, needle.where) == ("n4", "end_off", str(number))
+    assert needle.size == pytest.approx(1.0, abs=5 * needle.sd) and needle.sd < 0.2
+
+
 def test_needles_whose_points_were_exchanged_are_named_with_each_other():
     made = [*measure_needles(4), *(replace(one, id=f"m{one.id}") for one in measure_needles(5))]
     made[2], made[5] = made[2].with_points(made[5].points), made[5].with_points(made[2].points)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from needlefit.arrays import Floats
 from needlefit.datasets.compared import MIN_LOG_ODDS
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.layers import find_length_tolerance
@@ -131,6 +132,20 @@ def _find_step(insertion: Insertion, _: Sequence[Insertion], axis: int) -> dict[
     return {str(first + 1): first}
 
 
+def _list_ends(insertion: Insertion, *_: Any) -> dict[str, float]:  # noqa: ANN401 - others and axis
+    """Return x (mm) of the first point and of the tip, by number: of others neighbours tell before a fit."""
+    count = len(insertion.points)
+    return {str(n): float(insertion.points[n - 1, 0]) for n in (1, count) if count > 3}
+
+
+def _shift_point(insertion: Insertion, size: float, axis: int, x: float) -> Insertion:
+    def change(points: Floats) -> Floats:
+        is_nearest = np.arange(len(points)) == np.argmin(np.abs(points[:, 0] - x))
+        return points - np.outer(is_nearest, size * np.eye(3)[axis])
+
+    return insertion.map_points(change)
+
+
 def list_boundaries(
     insertion: Insertion, others: Sequence[Insertion], _: int = IN_PLANE
 ) -> dict[str, tuple[int, Insertion]]:
@@ -179,6 +194,7 @@ HYPOTHESES: Mapping[str, Hypothesis] = {
     # a guide, or soft tissue at the entry, gives way toward the bevel
     "given_way": Hypothesis(_give_way, axes=(), is_mistake=False, common_sizes=(0.0, 2.5, 5.0)),
     "stepped": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), _find_step),
+    "end_off": Hypothesis(_shift_point, (-20.0, 20.0), (IN_PLANE, ASIDE), _list_ends),
     "boundary": Hypothesis(_move_boundary, (-30.0, 30.0), list_choices=list_boundaries, changes_model=True),
     "of_another": Hypothesis(_take_points, list_choices=_list_deeper, reaches_tip=False, changes_model=True),
 }
