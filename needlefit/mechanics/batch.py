@@ -578,19 +578,24 @@ def _find_valid(batch: Batch, values: Mapping[str, Floats], base: float) -> Bool
     count = len(batch)
     valid = np.ones(count, dtype=bool)
     for name, value in values.items():
-        accepted = np.abs(value) <= MAX_NUMBER  # NaN compares as false
-        if name in ("mu", "rigidity"):
-            accepted &= value > 0
+        low, high = _find_limits(name, batch.tissue.law)
+        accepted = (value >= low) & (value <= high)  # NaN compares as false
         if name == "boundaries":
             accepted &= np.diff(value, axis=1, prepend=0.0) >= 0
-        if name == "shape":
-            bounds = [parameter.bounds for parameter in LAWS[batch.tissue.law].parameters]
-            low, high = np.array(bounds).reshape(-1, 2).T[:, :, None]  # (p, 1) each
-            accepted &= (value >= low) & (value <= high)
         if name == "guide_x":  # before the tissue, and where the base does not come to it
             accepted &= (value < 0) & (value > base)
-        valid &= accepted.reshape(count, -1).all(axis=1)
+        if not accepted.all():
+            valid &= accepted.reshape(count, -1).all(axis=1)
     return valid
+
+
+@lru_cache(maxsize=64)  # the sets of all insertions are compared with the same ones
+def _find_limits(name: str, law: str) -> Floats:
+    """Return the least and the greatest number that a set may give, (2,), of a law's parameters (2, p, 1)."""
+    if name == "shape":
+        bounds = [parameter.bounds for parameter in LAWS[law].parameters]
+        return np.clip(np.array(bounds).reshape(-1, 2).T[:, :, None], -MAX_NUMBER, MAX_NUMBER)
+    return np.array([math.ulp(0.0) if name in ("mu", "rigidity") else -MAX_NUMBER, MAX_NUMBER])
 
 
 def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
@@ -599,8 +604,9 @@ def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
         a["status"][wrong], a["passes"][wrong] = native.NON_FINITE, 0
         a["u"][:, wrong] = a["slope"][:, wrong] = a["track"][wrong] = a["constraints"][wrong, 1:, 1:] = np.nan
     insertion, boundaries = evaluation.insertion, evaluation.values.get("boundaries")
-    scales = insertion.scales
-    if boundaries is not None:
+    if boundaries is None:
+        scales = np.broadcast_to(insertion.scales, (len(batch), 2))
+    else:
         scales = compute_scales(batch.tissue, insertion.depth, batch.rules.spacing, boundaries)
     nodes = native.to_space(*(a[name] for name in ("x", "u", "slope", "constraints", "track")))
-    return NeedleShapes(*nodes, a["status"], a["passes"], np.broadcast_to(scales, (len(batch), 2)))
+    return NeedleShapes(*nodes, a["status"], a["passes"], scales)

@@ -36,7 +36,13 @@ def limit_to_one_thread() -> None:
 
 
 def leave_out_help_texts() -> None:
-    """Let scipy load without completing its texts of help, a fifth of a second: no command prints them."""
+    """Let scipy load without completing its texts of help, a fifth of a second: no command prints them.
+
+    Nor does any need the compiler of Fortran, which scipy would load as it copies the names of numpy.
+    """
+    import numpy
+
+    numpy.__dict__.setdefault("f2py")
     with suppress(ImportError, AttributeError):  # of a version that completes none in this way
         from scipy._lib import _docscrape
 

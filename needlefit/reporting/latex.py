@@ -1,9 +1,10 @@
 """Write tables as LaTeX (booktabs, no wider than the page)."""
 
 import re
+from functools import cache
 from importlib.resources import files
 
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, StrictUndefined, Template
 
 from needlefit.reporting.number_format import NO_BREAK, bind_numbers
 from needlefit.reporting.table import TableLayout
@@ -40,8 +41,8 @@ _RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 _LOWERED = str.maketrans("₀₁₂₃₄₅₆₇₈₉", "0123456789")
 
 
-def format_latex(table: TableLayout, origin_mark: str) -> str:
-    """Return the table as a LaTeX float; special characters are escaped, and the mark begins the caption."""
+@cache
+def _template() -> Template:
     environment = Environment(  # with marks that LaTeX does not use
         block_start_string="<%",
         block_end_string="%>",
@@ -55,10 +56,15 @@ def format_latex(table: TableLayout, origin_mark: str) -> str:
         undefined=StrictUndefined,
         autoescape=False,  # noqa: S701 - LaTeX, not HTML: `escape_latex` does it
     )
-    template = (files("needlefit.reporting") / "templates" / "table.tex").read_text(encoding="utf-8")
+    text = (files("needlefit.reporting") / "templates" / "table.tex").read_text(encoding="utf-8")
+    return environment.from_string(text)
+
+
+def format_latex(table: TableLayout, origin_mark: str) -> str:
+    """Return the table as a LaTeX float; special characters are escaped, and the mark begins the caption."""
     units = [column.unit for column in table.columns]
     aligns = ("p{5cm}" if column.wide else "l" if column.align == "left" else "r" for column in table.columns)
-    return environment.from_string(template).render(
+    return _template().render(
         environment="table" if _count_letters(table) <= MAX_COLUMN_LETTERS else "table*",
         caption=escape_latex((f"{origin_mark}. " if origin_mark else "") + bind_numbers(table.caption)),
         label=table.name.replace("_", "-"),

@@ -23,10 +23,11 @@ class Drawing:
 
     def save(self, path: Path, origin: str) -> Path:
         """Draw the figure to `path` (PDF), its frame with the origin as CSV; return the path."""
-        # late: matplotlib takes its time to load, a quarter of it for texts of help that nobody reads here
-        import matplotlib.artist
+        # late: matplotlib takes its time to load, a third of it for texts of help that nobody reads here
+        from matplotlib import artist
 
-        matplotlib.artist.kwdoc = lambda artist: ""
+        artist.kwdoc = lambda artist: ""
+        artist.Artist._update_set_signature_and_docstring = lambda: None  # type: ignore[attr-defined]
         from needlefit.reporting.figures import fit_forms, forms
         from needlefit.reporting.figures.style import plot
 
