@@ -17,7 +17,7 @@ import needlefit
 from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.control import Guide, TrackedTip
-from needlefit.planning.draw_weights import WeightedDraws
+from needlefit.planning.draw_weights import SteeredDraws
 from needlefit.studies.steering import Steering
 
 SCENE = tomllib.loads("""
@@ -95,7 +95,7 @@ def test_weights_are_the_normal_distribution_where_the_tip_is_linear():
 def test_sigma_points_have_the_mean_and_the_covariance_of_the_weighted_draws():
     rng = default_rng(1)
     known = ParameterDraws(np.exp(rng.normal(size=(60, 2))), np.ones((60, 1, 2)), np.exp(rng.normal(size=60)))
-    draws = WeightedDraws.begin(known, 60, 0.25, 0.0, rng)
+    draws = SteeredDraws.begin(known, 60, 0.25, 0.0, rng)
     draws = replace(draws, log_weights=rng.normal(size=60))
 
     def list_logarithms(some):

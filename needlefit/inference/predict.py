@@ -251,9 +251,9 @@ def estimate_proportion(hits: Sequence[bool], groups: Sequence[str]) -> Proporti
     return Proportion(sum(map(bool, hits)), len(hits), len(by_group), rate, low, high)
 
 
-def wilson_interval(rate: float, trials: float, level: float = 0.95) -> tuple[float, float]:
-    """Return Wilson's interval of a probability with observed `rate` in `trials` (E. B. Wilson, 1927)."""
-    z2 = float(scipy.special.ndtri(0.5 + level / 2)) ** 2
+def wilson_interval(rate: float, trials: float) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a probability, observed `rate` in `trials` (E. B. Wilson, 1927)."""
+    z2 = float(scipy.special.ndtri(0.975)) ** 2
     centre = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
     half = math.sqrt(z2 * (rate * (1 - rate) / trials + z2 / (4 * trials**2))) / (1 + z2 / trials)
     return max(0.0, centre - half), min(1.0, centre + half)

@@ -22,7 +22,7 @@ KEPT_VARIANCE = 1e-9  #: parts of the greatest variance below which a direction 
 
 
 @dataclass(frozen=True)
-class WeightedDraws:
+class SteeredDraws:
     """B draws of ln mu, ln b, the share that the tissue follows, the base's gain and the axis's slope.
 
     They are `mean` + `at` @ `axes`, have weights, and the prior of `at` is a standard normal.
@@ -101,9 +101,9 @@ class WeightedDraws:
     def learn(
         self,
         now: Floats,
-        weigh: Callable[["WeightedDraws"], Floats],
+        weigh: Callable[["SteeredDraws"], Floats],
         rng: np.random.Generator,
-    ) -> tuple["WeightedDraws", int]:
+    ) -> tuple["SteeredDraws", int]:
         """Return the draws after a measurement, and in how many rounds new ones were drawn.
 
         `now` (B,) is its log likelihood; `weigh` returns that of all measurements together, of new draws.
@@ -119,8 +119,8 @@ class WeightedDraws:
         return learned, rounds
 
     def _draw_anew(
-        self, fewest: float, weigh: Callable[["WeightedDraws"], Floats], rng: np.random.Generator
-    ) -> "WeightedDraws":
+        self, fewest: float, weigh: Callable[["SteeredDraws"], Floats], rng: np.random.Generator
+    ) -> "SteeredDraws":
         weights = self._flatten(fewest / 2)
         centre = weights @ self.at
         away = self.at - centre

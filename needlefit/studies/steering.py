@@ -25,7 +25,7 @@ from needlefit.mechanics.batch import (
 )
 from needlefit.mechanics.control import Step
 from needlefit.mechanics.session import Session
-from needlefit.planning.draw_weights import WeightedDraws
+from needlefit.planning.draw_weights import SteeredDraws
 from needlefit.planning.goals import Goal
 from needlefit.planning.steered_needle import make_steered_scene
 from needlefit.planning.steering import (
@@ -168,7 +168,7 @@ class Steering:
         #: needle, median tissue, rules: what commands are checked by; draws vary the tissue
         self.needle, self.tissue, self.rules = planned.needle, tissue, rules
         gain_sd = (errors.gain_sd or GAIN_SD) if gain_sd is None else gain_sd
-        self._draws = WeightedDraws.begin(layer_draws, draws, gain_sd, slope_sd, self._rng)
+        self._draws = SteeredDraws.begin(layer_draws, draws, gain_sd, slope_sd, self._rng)
         self._readings: tuple[_Reading, ...] = ()
 
     @property
@@ -237,7 +237,7 @@ class Steering:
         log = _log_likelihood(off, sd)
         readings = (*self._readings, reading)
 
-        def weigh(draws: WeightedDraws) -> Floats:
+        def weigh(draws: SteeredDraws) -> Floats:
             expected = ((reading, self._expect(reading, draws)) for reading in readings)
             return np.sum(
                 [_log_likelihood(reading.values - place, reading.sd) for reading, place in expected], axis=0
@@ -328,7 +328,7 @@ class Steering:
         (shapes,) = simulate_batches([self._make_batch(draws, path)], 1)
         return draws.find_points(shapes, np.array([depth]), path)[:, 0]
 
-    def _expect(self, reading: _Reading, draws: WeightedDraws) -> Floats:
+    def _expect(self, reading: _Reading, draws: SteeredDraws) -> Floats:
         parameters = draws.to_parameters()
         (shapes,) = simulate_batches([self._make_batch(parameters, reading.path)], 1)
         return reading.expect(shapes, parameters)

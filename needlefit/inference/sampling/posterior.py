@@ -1,7 +1,6 @@
 """The sampled posterior: draws, convergence, and its file (netCDF in the InferenceData layout)."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -87,9 +86,9 @@ class Posterior:
             )
         return tuple(problems)
 
-    def percentiles(self, percents: Sequence[float] = PERCENTILES) -> dict[str, tuple[float, ...]]:
+    def percentiles(self) -> dict[str, tuple[float, ...]]:
         """Return each parameter's percentiles over all draws (Pa, mm)."""
-        table = np.percentile(self.draws.reshape(-1, len(self.names)), percents, axis=0)  # (Q, P)
+        table = np.percentile(self.draws.reshape(-1, len(self.names)), PERCENTILES, axis=0)  # (Q, P)
         return {name: tuple(column.tolist()) for name, column in zip(self.names, table.T, strict=True)}
 
     def to_frame(self) -> pd.DataFrame:

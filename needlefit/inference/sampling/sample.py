@@ -50,21 +50,21 @@ def _add_held(posterior: Posterior, parameters: Parameters, rng: np.random.Gener
     table = dict(zip(parameters.free, drawn.T, strict=True))
     columns = {name: table[name].reshape(posterior.log_posterior.shape) for name in parameters.held}
     columns |= dict(zip(posterior.names, np.moveaxis(posterior.draws, 2, 0), strict=True))
-    # independent by construction, not as far as an estimate knows
-    r_hat, time = dict.fromkeys(parameters.held, 1.0), dict.fromkeys(parameters.held, 1.0)
-    r_hat |= dict(zip((*posterior.names, LOG_POSTERIOR), posterior.r_hat.tolist(), strict=True))
-    apart = dict.fromkeys(parameters.held, 0.0) | dict(
-        zip(posterior.names, posterior.apart.tolist(), strict=True)
-    )
-    time |= dict(zip((*posterior.names, LOG_POSTERIOR), posterior.autocorrelation_time.tolist(), strict=True))
-    quantities = (*parameters.free, LOG_POSTERIOR)
+
+    def extend(estimates: Floats, of_held: float) -> Floats:
+        """Return one of each free parameter, and of the density where `estimates` end with that."""
+        named = dict(zip((*posterior.names, LOG_POSTERIOR), estimates, strict=False))
+        named |= dict.fromkeys(parameters.held, of_held)
+        return np.array([named[name] for name in (*parameters.free, LOG_POSTERIOR) if name in named])
+
+    # those held are independent by construction, not as far as an estimate knows
     return replace(
         posterior,
         names=parameters.free,
         draws=np.stack([columns[name] for name in parameters.free], axis=2),
-        r_hat=np.array([r_hat[name] for name in quantities]),
-        autocorrelation_time=np.array([time[name] for name in quantities]),
-        apart=np.array([apart[name] for name in parameters.free]),
+        r_hat=extend(posterior.r_hat, 1.0),
+        autocorrelation_time=extend(posterior.autocorrelation_time, 1.0),
+        apart=extend(posterior.apart, 0.0),
     )
 
 

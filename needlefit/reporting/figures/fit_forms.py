@@ -58,7 +58,6 @@ def insertions(
     points: pd.DataFrame,
     heads: Mapping[InsertionKey, str],  # what stands above the panel of each insertion
     names: Mapping[str, str],  # printed names of the methods, the foremost line first
-    most_columns: int = 4,  # panels side by side on a page; half as many in a column
     height: str = "deflection toward\nthe bevel (mm)",  # what `y_mm` is: z, of needles from above
 ) -> Figure:
     """Draw a panel for each insertion: the measured needle as dots, methods as lines, bands behind.
@@ -68,7 +67,7 @@ def insertions(
     `x_mm`, `y_mm`, `low_mm`, `high_mm`.
     """
     width = choose_width()
-    columns = min(len(heads), most_columns if width > COLUMN_WIDTH_IN else max(1, most_columns // 2))
+    columns = min(len(heads), MAX_PANEL_COLUMNS if width > COLUMN_WIDTH_IN else MAX_PANEL_COLUMNS // 2)
     left, right = _find_range(points[["x_mm"]])
     y = _find_limits(points, points["curve"].isin(["measured", *names]))
     factor = choose_vertical_scale(right - left, y[1] - y[0])
@@ -227,7 +226,7 @@ def predictive_check(rows: pd.DataFrame) -> Figure:
 
 # ---- profile likelihoods
 
-MAX_PANEL_COLUMNS = 4  # as many as a page is wide for
+MAX_PANEL_COLUMNS = 4  # as many as a page is wide for; half as many in a column
 MAX_TICKS = 4  # of an axis of so narrow a panel
 """Greatest number of panels in a row, and of labelled ticks on a logarithmic axis."""
 
