@@ -368,7 +368,13 @@ def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
     ]
     files = [write_rows(tmp_path / name, [head, *rows]) for name in ("log_1.csv", "log_2.csv")]
     answers = {"holds": "tracks", "bevel": "0,1,0"}
-    assert "1, 2 were" in str(refusal(DataError, "guide", planned, files, **answers))
+    assert (
+        "--set z.column=9 --set 'guide.column=15|16|17'"
+        in refusal(DataError, "tracked", planned, files, **answers).fix
+    )
+    named = {"x__column": "7", "y__column": "8", "z__column": "9", "guide__column": "15|16|17"}
+    first, _ = placed(files, **answers, **named)[0].curves
+    np.testing.assert_allclose(first.guide[:, 0], 0.1 * np.arange(16))
     if guide == "3":
         refusal(DataError, "guide", planned, files, **answers, guide=guide)
     if guide == "none":  # the other tool stands beside the way of the tip
@@ -381,6 +387,26 @@ def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
         write_placed(tmp_path / "runs", files, **answers, guide=guide)
         run, _ = read(tmp_path / "runs").insertions
         np.testing.assert_allclose(run.guide.y, 0.1 * np.arange(16), atol=1e-4)
+
+
+def test_one_of_two_tools_in_rows_of_their_own_may_be_left_out(tmp_path):
+    """A log of two runs, in which a reading is lost; a table names the runs and their bevels."""
+    rows = [
+        [run, n, tool, *(point if tool == "tip" else [0, 0, 0]), "MISSING" if n == 3 else "OK"]
+        for run in (1, 2)
+        for n, point in enumerate(NEEDLES[0])
+        for tool in ("tip", "reference")
+    ]
+    file = write_rows(tmp_path / "a.csv", [["run", "time", "tool", "x", "y", "z", "status"], *rows])
+    bevels = write_rows(tmp_path / "b.csv", [["run", "bevel side"], [1, 1], [2, -1]])
+    answers = {"holds": "tracks", "bevel": "0,1,0"}
+    fix = refusal(DataError, "tracked", planned, [file, bevels], **answers).fix
+    words = '{"reference" = "excluded", "MISSING" = "excluded"}'
+    assert f"--set 'excluded.column=tool|status' --set 'excluded.words={words}'" in fix
+    stated = {"excluded__column": "tool|status", "excluded__words": words}
+    _, plan, _ = placed([file, bevels], **answers, **stated)
+    assert [(row.id, row.side) for row in plan.rows] == [("1", 1), ("2", -1)]
+    assert [len(curve.line) for curve in plan.curves] == [15, 15]
 
 
 def test_sensors_may_be_placed_from_the_base(tmp_path):

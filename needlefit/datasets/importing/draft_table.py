@@ -133,6 +133,8 @@ class TableDraft:
                 known[meaning] = [axes[axis] for axis in sorted(axes)]
         if "depth" in known and not (known.keys() | blocked) & {"y", "deflection"}:
             known["deflection"] = [one for one in known["tip"] if len(one.numbers) == len(one.texts)]
+        if "tool" in known:
+            self._ask_tool_names(known)
         for key in [key for key in known if key not in MEANINGS or key in blocked or not known[key]]:
             del known[key]
         if "guide" in known and self.draft.values.get("guide") != "none":
@@ -250,6 +252,32 @@ class TableDraft:
             answers = {value or "blank": name | {key: to_inline_table({value: EXCLUDED})} for value in values}
             self.ask(EXCLUDED, answers | {"none": _leave(column.name)}, column)
 
+    def ask_tools(self, alone: Answers, guided: Answers, column: Column | None = None) -> None:
+        """Ask which of several tools is the tip: `alone`, or, of two, `guided` by the other one."""
+        answers = {f"{tip} alone": keys for tip, keys in alone.items()}
+        for tip, guide in permutations(alone) if len(alone) == 2 else ():
+            answers[f"{tip}, guided by {guide}"] = guided[tip]
+        names = join_names([*alone], MAX_FLAGS)
+        self.ask("tools", {**answers, "each": {"guide": "none"}}, column, names=names)
+
+    def _ask_tool_names(self, known: dict[str, list[Column]]) -> None:
+        """Take names of tools as those of needles; ask which of several that stand in rows is the tip."""
+        (column,) = known.pop("tool")[:1]
+        names = [*dict.fromkeys(column.texts)]
+        if "guide" in self.draft.values or not 1 < len(names) <= MAX_FLAGS:
+            known["needle"].append(column)
+            return
+        flags, alone = [column, *known.get(EXCLUDED, ())[:1]], dict[str, Mapping[str, str]]()
+        lost = sorted({text for text in flags[-1].texts if find_meaning("flag", text) == EXCLUDED})
+        for name in names:
+            words = dict.fromkeys((*(other for other in names if other != name), *lost), EXCLUDED)
+            alone[name] = {
+                f"{EXCLUDED}.column": "|".join(str(flag.name) for flag in flags),
+                f"{EXCLUDED}.words": to_inline_table(words),
+            }
+        guided = dict(zip(names, ({"guide": name} for name in reversed(names)), strict=True))
+        self.ask_tools(alone, guided, column)
+
     # ---- rows
 
     @cached_property
@@ -357,6 +385,12 @@ class TableDraft:
 def join_columns(columns: Iterable[Column]) -> str:
     """Return the names of columns."""
     return ", ".join(str(column.name) for column in columns)
+
+
+def spell_points(points: Iterable[Columns]) -> dict[str, dict[str, str]]:
+    """Return the keys that state the columns of the points of needles, by the first of each."""
+    keys = [{f"{axis}.column": str(column.name) for axis, (column,) in axes.items()} for axes in points]
+    return {next(iter(of_needle.values())): of_needle for of_needle in keys}
 
 
 def _leave(name: str | int) -> dict[str, str]:

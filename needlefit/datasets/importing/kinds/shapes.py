@@ -18,7 +18,7 @@ from needlefit.datasets.importing.curve_answers import (
     list_names,
 )
 from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
+from needlefit.datasets.importing.draft_table import MAX_FLAGS, Columns, Records, TableDraft, spell_points
 from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.kinds.tips import add_tips
 from needlefit.datasets.importing.mapped_table import MappedTable
@@ -432,13 +432,8 @@ def propose_shapes(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
         return {"": {axis: [column for axes in places for column in axes.get(axis, ())] for axis in first}}
     is_version = any(find_meaning("version", name.split(" ")[0]) for name in draft.groups)
     if others and ("needle" in draft.taken or is_version):
-        keys = (
-            {f"{axis}.column": str(column.name) for axis, (column,) in axes.items()}
-            for axes in points.values()
-        )
-        answers = {next(iter(names.values())): names for names in keys}
-        names = " and ".join(f"`{name}`" for name in answers)
-        draft.ask("points", answers, names=names)
+        answers = spell_points(points.values())
+        draft.ask("points", answers, names=join_names([*answers], MAX_FLAGS))
     if "x" not in first.keys() | draft.taken.keys() and "depth" in draft.taken:
         draft.taken["x"] = draft.taken.pop("depth")  # points at depths
     return points

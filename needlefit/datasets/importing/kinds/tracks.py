@@ -13,10 +13,11 @@ from needlefit.datasets.importing.curve_answers import (
     CurveAnswers,
     Placer,
     format_direction,
+    list_names,
     snap_to_axis,
 )
 from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
+from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft, spell_points
 from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.meanings import read_header
@@ -26,8 +27,6 @@ from needlefit.datasets.layers import SAME_POINT_MM
 from needlefit.errors import DataError
 from needlefit.geometry.common_direction import fit_direction
 from needlefit.geometry.frames import normalize, to_unit
-from needlefit.grouping import group_values
-from needlefit.project.locate import join_names
 
 # Tracks of one session are usually of one specimen; a new one would be predicted less well.
 TRACK_SPECIMEN = ("specimen1", "all runs into one; specimen=each if every run had a specimen of its own")
@@ -200,22 +199,17 @@ def settle_rolls(asked: CurveAnswers) -> None:
 
 
 def settle_guide(asked: CurveAnswers) -> None:
-    """Take another tool that was tracked beside each tip as the guide, if that is stated.
+    """Take another tool that was tracked beside each tip as the guide, if its name is stated.
 
-    DataError if several tools of a file may be the tip, or no tool has the stated name.
+    DataError if no tool has that name, or not one was tracked beside each tip.
     """
     curves, stated = asked.curves, asked.stated("guide")
     if stated == "none":
         for curve in curves:
             curve.guide = None
-    with_lines = [curve for curve in curves if curve.points.lines is not None]
-    rows = group_values(((curve.points.path, *curve.points.lines), curve.given) for curve in with_lines)  # type: ignore[misc]
-    beside = sorted({name for tools in rows.values() if len(tools) > 1 for name in tools})
-    is_known = stated == "none" or any(curve.guide is not None for curve in curves)
-    if is_known or not (beside or stated):
+    if stated in ("", "none") or any(curve.guide is not None for curve in curves):
         return
-    names = join_names(beside or [curve.given for curve in curves], 5)
-    answer = asked.settle("guide", "", f"{names} were tracked in the same rows")
+    answer, names = asked.settle("guide"), list_names(curves)
     guides = [curve for curve in curves if f"-{curve.given}".endswith(f"-{answer.text}")]
     curves[:] = [curve for curve in curves if curve not in guides]
     for guide in guides:
@@ -307,8 +301,14 @@ MIN_SIGNS = 2  # of depths that differ, times that differ and a column of a tip:
 
 def propose_tracks(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     """Return the columns of readings: deflections at increasing depths, or places with signs of a track."""
-    if is_stated or not (points := draft.points):
-        return draft.points
+    points = draft.points
+    is_log = is_stated or "time" in draft.changing
+    if len(points) > 1 and is_log and not draft.are_deflections and "guide" not in draft.draft.values:
+        alone = spell_points(points.values())
+        guides = ({"guide.column": "|".join(keys.values())} for keys in reversed(alone.values()))
+        draft.ask_tools(alone, {tip: alone[tip] | guide for tip, guide in zip(alone, guides, strict=True)})
+    if is_stated or not points:
+        return points
     if draft.are_deflections:
         is_track, reason = draft.increases(draft.taken["depth"][0]), "the depths of each needle increase"
     else:
