@@ -9,6 +9,7 @@ from import_cases import (
     curves_of,
     needle,
     placed,
+    planned,
     prepare,
     write_european_csv,
     write_long,
@@ -21,6 +22,7 @@ from test_cli import run
 
 from needlefit.datasets.importing.examples import WORKBOOK_FILE
 from needlefit.datasets.importing.prepare import prepare_import
+from needlefit.datasets.importing.read import integrate_angles
 from needlefit.datasets.importing.tables import read_sheets
 from needlefit.datasets.read import inspect, read
 from needlefit.errors import ConfigError, DataError
@@ -236,6 +238,36 @@ def test_tracks_of_several_specimens_have_a_study_that_leaves_one_out(tmp_path, 
     assert study.get("leave_out") == unit and study.get("same_specimen", False) == (unit != "specimen")
     dataset = read(folder)
     assert [one.specimen for one in dataset.insertions] == blocks
+
+
+def test_folders_and_parts_of_names_of_files_may_be_specimens(tmp_path):
+    """Of three folders with files of the same names, and of files of one folder."""
+    head, blocks = ["x [mm]", "y [mm]", "z [mm]"], ["A", "A", "B"]
+    for n, (block, curve) in enumerate(zip(blocks, NEEDLES, strict=True)):
+        (tmp_path / f"blocks/{block}").mkdir(parents=True, exist_ok=True)
+        write_rows(tmp_path / f"blocks/{block}/{n}.csv", [head, *curve])
+        write_rows(tmp_path / f"insertion_{n}_block{block}.csv", [head, *curve])
+    files = sorted(tmp_path.glob("*.csv"))
+    by_file = {"specimen__source": "file", "specimen__pattern": r".*?(block[-_ ]?[^\W_]+).*"}
+    for paths, stated, names in (
+        ([tmp_path / "blocks"], {"specimen__source": "folder"}, blocks),
+        (files, by_file, [f"block{name}" for name in blocks]),
+    ):
+        fix = refusal(DataError, "specimen of its own", planned, paths).fix
+        assert all(f"{key.replace('__', '.')}={value}" in fix for key, value in stated.items())
+        assert [row.specimen for row in planned(paths, **stated)[0].rows] == names
+    folder = write_placed(tmp_path / "out", [tmp_path / "blocks"], specimen__source="folder")
+    again = prepare_import([tmp_path / "blocks"], mapping=folder / "mapping.toml")
+    assert [row.specimen for row in again.plan.rows] == blocks
+
+
+def test_angles_along_a_needle_are_integrated():
+    """A circle of radius 100 mm, by its angles at lengths."""
+    arcs = np.linspace(0.0, 50.0, 26)
+    x, y, z = integrate_angles(arcs, np.degrees(arcs / 100)).T
+    np.testing.assert_allclose(x, 100 * np.sin(arcs / 100), atol=2e-3)
+    np.testing.assert_allclose(y, 100 * (1 - np.cos(arcs / 100)), atol=2e-3)
+    assert not z.any()
 
 
 # ---- a mapping that was written

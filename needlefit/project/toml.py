@@ -122,14 +122,14 @@ def _describe_fault(place: Location, errors: list[ErrorDetails], kind: type[Base
     if errors[0]["type"] in ("missing", MISSING_KEY):
         return ConfigError(f"key `{key}` is missing", fix=f"add `{key}`", key=key)
     if errors[0]["type"] == "extra_forbidden":
-        table = _find_record(kind, place[:-1])
-        keys = (
-            [model_field.alias or name for name, model_field in table.model_fields.items()] if table else []
-        )
+        keys = _list_keys(_find_record(kind, place[:-1]))
         near = difflib.get_close_matches(str(place[-1]), keys, n=1, cutoff=0.5)
         problem = f"key `{key}` is unknown" + (f"; did you mean `{near[0]}`?" if near else "")
         expected = f"one of {', '.join(keys)}" if keys else ""
-        return ConfigError(problem, expected=expected, fix=f"correct or remove `{key}`", key=key)
+        fix = f"correct or remove `{key}`"
+        if not near and len(place) > 1 and place[-1] in _list_keys(kind):
+            fix = f"move it: `{place[-1]}` is a key of the whole file, above its tables"
+        return ConfigError(problem, expected=expected, fix=fix, key=key)
     messages = list(
         dict.fromkeys(error["msg"].removeprefix("Value error, ").replace("Tuple", "List") for error in errors)
     )
@@ -142,6 +142,10 @@ def _describe_fault(place: Location, errors: list[ErrorDetails], kind: type[Base
         return ConfigError(problem, expected=expected, fix=f"correct `{key}`", key=key)
     text, fix = "; ".join(messages), f"correct `{key}`" if key else "correct the keys named"
     return ConfigError(f"key `{key}`: {text}" if key else text, fix=fix, key=key)
+
+
+def _list_keys(record: type[BaseModel] | None) -> list[str]:
+    return [field.alias or name for name, field in record.model_fields.items()] if record else []
 
 
 def _find_record(kind: type[BaseModel], place: Location) -> type[BaseModel] | None:

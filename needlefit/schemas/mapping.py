@@ -21,14 +21,14 @@ class MeaningRecord(Record):
     name is joined of them; of coordinates in a table with `layout = "wide"`."""
     value: str | float = ""
     """Instead of a column: the value of all rows."""
-    source: Literal["", "file", "sheet"] = ""
-    """Instead of a column: the name of the file or of the sheet."""
+    source: Literal["", "file", "folder", "sheet"] = ""
+    """Instead of a column: the name of the file, of its folder, or of the sheet."""
     unit: str = ""
     """Unit of the numbers; without it, mm for lengths, degrees for angles, GPa for moduli."""
     unit_column: ColumnName | None = None
     """Column with the unit of each row."""
     pattern: str = ""
-    """Of a needle's name: a regular expression whose group is the name: `"(.+)-\\\\d+"` for `N1-4`."""
+    """Of a name: a regular expression whose group is the name: `"(.+)-\\\\d+"` for `N1-4`."""
     words: dict[str, str] = {}
     """What words in the cells mean: `{up = "1", down = "-1"}`."""
     divide_by_root: ColumnName | None = None
@@ -42,7 +42,9 @@ class MeaningRecord(Record):
     def _one_source(self) -> Self:
         stated = (self.column not in ((), ""), self.value != "", self.source != "")
         if sum(stated) != 1:
-            raise ValueError('give one of column = "HEADER", value = "TEXT", source = "file" or "sheet"')
+            raise ValueError(
+                'give one of column = "HEADER", value = "TEXT", source = "file", "folder" or "sheet"'
+            )
         return self
 
     @property

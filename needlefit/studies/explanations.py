@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Mapping
 from functools import cache
 
+from needlefit.datasets.importing.meanings import MEANINGS
 from needlefit.datasets.input_tables import read_input_columns
 from needlefit.grouping import group_values
 from needlefit.project.help_pages import Topic, read_sections, read_terms
@@ -34,6 +35,17 @@ def list_topics() -> Mapping[str, tuple[Topic, ...]]:
                 (column.meaning, *([f"Empty: {column.default}."] if column.default else [])),
             )
             for column in read_input_columns()
+        ),
+        "Keys of an import": tuple(
+            Topic(
+                key,
+                f"{key}{f' ({meaning.unit})' * bool(meaning.unit)}, key of an import",
+                (
+                    f"{meaning.text}.",
+                    *([f"Else {meaning.usual}: {meaning.reason}."] if meaning.usual else []),
+                ),
+            )
+            for key, meaning in MEANINGS.items()
         ),
         "Files that you write": tuple(_describe_files()),
         "Keys of files": tuple(_describe_keys()),

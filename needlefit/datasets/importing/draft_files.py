@@ -3,11 +3,14 @@
 It reads no needle: a person sees what is proposed, and `read` goes by that.
 """
 
+import re
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import permutations
 from pathlib import Path
 
+from needlefit.datasets.folds import MAX_NAMED_SPECIMENS
 from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.formats.markups import holds_markups, is_plane, read_markups
 from needlefit.datasets.importing.draft import Draft
@@ -15,7 +18,15 @@ from needlefit.datasets.importing.draft_entries import draft_entries
 from needlefit.datasets.importing.examples import EXAMPLE_SHEET
 from needlefit.datasets.importing.kinds import KINDS
 from needlefit.datasets.importing.layout import propose_layout, sniff_text
-from needlefit.datasets.importing.meanings import NAMED_BY_LAYER, VALUES, Keys, Pairs, read_header, split_unit
+from needlefit.datasets.importing.meanings import (
+    NAMED_BY_LAYER,
+    VALUES,
+    Keys,
+    Pairs,
+    find_meaning,
+    read_header,
+    split_unit,
+)
 from needlefit.datasets.importing.read import MAX_CURVES, split_names
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.table_rows import lay_out
@@ -25,6 +36,7 @@ from needlefit.datasets.importing.tables import (
     Table,
     is_like_number,
     name_files,
+    name_stem,
     read_sheets,
     read_structured,
 )
@@ -84,6 +96,7 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
             draft.assumed.pop(settled, None)
     if "specimen" not in {*draft.columns, *draft.values}:
         _ask_sources(draft)
+        _ask_specimens(draft, files)
     if not draft.opens and not any(KINDS[table["holds"]].placer for table in draft.tables):
         problem = "; ".join(
             f"{part}: {why}" for part, why in draft.unused if part.startswith(("table", "folder"))
@@ -144,7 +157,7 @@ def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
                 raise DataError("there is no such file", fix="check the name and the path", where=path)
             yield path
             continue
-        entries = sorted(path.iterdir())
+        entries = list_entries(path)
         folders = [str(entry) for entry in entries if entry.is_dir()]
         named = [entry for entry in entries if entry.is_file() and not entry.name.startswith((".", "~$"))]
         readable = [entry for entry in named if entry.name.lower().endswith(suffixes)]
@@ -154,10 +167,17 @@ def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
             raise DataError(
                 "holds folders alone, which are not searched",
                 expected="files of needles",
-                fix=f"name the folders of the files: needlefit import {join_names(folders, 3)}",
+                fix=f"name the folders of the files: needlefit import {shlex.join(folders[:3])}",
                 where=path,
             )
         yield from readable or named[:1]  # which states why it is not read
+
+
+def list_entries(folder: Path) -> list[Path]:
+    """Return what a folder holds; of folders alone, one for each specimen, what they hold."""
+    entries = sorted(folder.iterdir())
+    are_folders = all(entry.is_dir() for entry in entries)
+    return sorted(file for entry in entries for file in entry.iterdir()) if are_folders else entries
 
 
 def _ask_sources(draft: Draft) -> None:
@@ -190,6 +210,31 @@ def _ask_sources(draft: Draft) -> None:
         last=names[-1],
         number=entries[places[-1]][0],
     )
+
+
+def _ask_specimens(draft: Draft, files: Sequence[Path]) -> None:
+    """Ask whether folders, or parts `block1` of the names of files, are specimens, if no column names any."""
+    read = {name for table in draft.tables if KINDS[table["holds"]].placer for name in table["files"]}
+    paths = [path for path in files if draft.names[path] in read]
+    if draft.opens or any("specimen" in table["columns"] for table in draft.tables):
+        return
+    folders = dict.fromkeys(path.absolute().parent.name for path in paths)
+    if len(folders) > 1:
+        draft.ask("specimens", "", source="folder", names=join_names([*folders], MAX_NAMED_SPECIMENS))
+        return
+    stems = [name_stem(path) for path in paths]
+    words = dict.fromkeys(
+        word for stem in stems for word in re.findall(r"[A-Z]?[a-z]{3,}|[^\W\d_]{3,}", stem)
+    )
+    for word in [word for word in words if "specimen" in find_meaning("column", word)]:
+        pattern = rf".*?({word}[-_ ]?[^\W_]+).*"
+        names = dict.fromkeys(match[1] for stem in stems if (match := re.fullmatch(pattern, stem)))
+        if 1 < len(names) < len(stems):
+            answers = {
+                "yes": {"specimen.source": "file", "specimen.pattern": pattern},
+                "no": {"specimen": "each"},
+            }
+            draft.ask("specimens", "", answers, source=word, names=join_names([*names], MAX_NAMED_SPECIMENS))
 
 
 # ---- sheets and grids
@@ -251,8 +296,7 @@ def _draft_grid(grid: Table, keys: Keys, draft: Draft) -> None:
         draft.unused.append((f"sheet {grid.sheet}" if grid.sheet else f"file {grid.path.name}", "empty"))
         return
     if _states_values(grid):
-        first = next(row[0] for row in grid.rows if any(row))
-        is_head = read_header(first).meaning not in VALUES
+        is_head = any(find_meaning("heading", text) for text in grid.rows[0])
         keys |= {"layout": "pairs", "holds": "facts", "of": "all", "header_rows": [1] if is_head else []}
         _draft_values(grid, keys, draft)
         return

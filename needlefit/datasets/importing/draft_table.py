@@ -157,6 +157,8 @@ class TableDraft:
     def _list_meanings(self, column: Column) -> list[str]:
         """Return what a column may mean, by its header and cells; an empty text: nothing here."""
         meaning, headers = column.meaning, {other.meaning for other in self.all}
+        if meaning == "tangent" and "arc" not in headers:
+            return [""]
         are_needles = [find_meaning("value", text).endswith("GPa") for text in column.texts]
         if meaning == "medium" and any(are_needles):
             is_clear = all(are_needles) and "modulus" not in headers
@@ -290,17 +292,20 @@ class TableDraft:
     def points(self) -> dict[str, Columns]:
         """The columns of the points by the name of their needle, "" of all; none where rows hold none."""
         self.used |= {column.place for column in self.axis_columns}
-        if not self.are_deflections:
-            return {"": {}} if self.taken.keys() >= {"x", "y"} else self.groups
-        columns = self.taken["deflection"]
+        key = "deflection" if self.are_deflections else "y"
+        if self.taken.keys() >= {"arc", "tangent"}:
+            return {"": {}}
+        if key == "y" and not self.taken.keys() >= {"x", "y"}:
+            return self.groups
+        columns = self.taken[key]
         others = [column for column in self.list_free() if column.meaning == "deflection"]
         others += [column for axes in self.groups.values() for column in axes["y"]]
-        if others and "deflection" not in self.draft.columns:
-            self.ask_column("deflection", (*columns[:1], *others))
-        if len(columns) == 1:
+        if others and key not in self.draft.columns:
+            self.ask_column(key, (*columns[:1], *others))
+        if len(columns) == 1 or self.keys.get("layout") == "wide":
             return {"": {}}
-        del self.taken["deflection"]  # each is of a needle
-        return {str(column.name): {"deflection": [column]} for column in columns}
+        del self.taken[key]  # each is of a needle
+        return {str(column.name): {key: [column]} for column in columns}
 
     def ask_column(self, meaning: str, columns: Sequence[Column] = (), *further: str) -> None:
         """Ask which column has a meaning, perhaps one of some."""

@@ -66,11 +66,7 @@ class MappedTable:
     @cached_property
     def names(self) -> list[str]:
         """The name of the needle of each row, as its cells are written."""
-        record = self.record.columns.get("needle")
-        names = ["-".join(filter(None, cells)) for cells in self.cells["needle"]]
-        if record is None or not record.pattern:
-            return names
-        return [match[1] if (match := re.fullmatch(record.pattern, name)) else name for name in names]
+        return ["-".join(filter(None, cells)) for cells in self.cells["needle"]]
 
     def where(self, n: int, meaning: str) -> str:
         """Return the place of the cell of a meaning in a row."""
@@ -114,16 +110,22 @@ class MappedTable:
     @cached_property
     def cells(self) -> Mapping[str, list[list[str]]]:
         """The texts of each meaning in each row, one of each column; empty where it was not measured."""
-        names = {"file": name_stem(self.table.path, self.table.file), "sheet": self.table.sheet}
+        path = self.table.path
+        names = {
+            "file": name_stem(path, self.table.file),
+            "folder": path.absolute().parent.name,
+            "sheet": self.table.sheet,
+        }
         cells = defaultdict[str, list[list[str]]](lambda: [[] for _ in self.table.rows])
         for meaning, record in self.record.columns.items():
             columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
             is_place = meaning in COORDINATES and self.has_points
+            pattern = re.compile(record.pattern or "(.*)", re.DOTALL)
             cells[meaning] = [
                 [
                     ""
                     if text in self.record.missing or (is_place and _is_missing(text))
-                    else record.words.get(text, text)
+                    else record.words.get(text, match[1] if (match := pattern.fullmatch(text)) else text)
                     for text in [row[m] for m in columns] or [value]
                 ]
                 for row in self.table.rows

@@ -9,7 +9,7 @@ import numpy as np
 
 from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.draft import Draft
-from needlefit.datasets.importing.draft_files import draft_mapping, list_different
+from needlefit.datasets.importing.draft_files import draft_mapping, list_different, list_entries
 from needlefit.datasets.importing.examples import find_examples
 from needlefit.datasets.importing.mapped_table import list_tables
 from needlefit.datasets.importing.meanings import (
@@ -139,7 +139,7 @@ def _load(mapping: Path, assignments: Pairs) -> MappingRecord:
 
 def _list_named(paths: Sequence[Path]) -> Iterator[Path]:
     for path in paths:
-        yield from sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else (path,)
+        yield from filter(Path.is_file, list_entries(path)) if path.is_dir() else (path,)
 
 
 def complete_draft(paths: Sequence[Path], assignments: Pairs) -> tuple[Draft, list[Path]]:

@@ -132,9 +132,10 @@ def _fit_plane(path: Path) -> Surface:
 def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedCurve]:
     """Yield the needles of a table of points, each with the points that were measured, in their order."""
     table, columns, kind = mapped.table, mapped.record.columns, KINDS[mapped.record.holds]
-    is_deflection = "deflection" in columns or "x" not in columns
+    is_angle = "tangent" in columns and "x" not in columns
+    is_deflection = not is_angle and ("deflection" in columns or "x" not in columns)
     across = ("deflection", "deflection_z") if "deflection" in columns else ("y", "z")
-    axes = ["depth" if is_deflection else "x", *across]
+    axes = ["arc", "tangent"] if is_angle else ["depth" if is_deflection else "x", *across]
     mapped.require(*axes[:2])
     axes = [axis for axis in axes if axis in columns]
     names, is_wide = mapped.names, mapped.record.layout == "wide"
@@ -154,6 +155,7 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
         if not points:
             continue
         values = np.pad(np.array(points), ((0, 0), (0, 3 - len(axes))))
+        values = integrate_angles(*values.T[:2]) if is_angle else values
         lines = np.array([table.lines[n] for n in rows], dtype=np.int64) if table.lines else None
         curve = ImportedCurve(
             name or table.name,
@@ -168,6 +170,14 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
             curve.stated.pop("depth", None)
         kind.read(mapped, curve, rows)
         yield curve
+
+
+def integrate_angles(arcs: Floats, degrees: Floats) -> Floats:
+    """Return the places (N, 3), mm, of a curve in a plane by its angles (N,) at lengths (N,), mm, from x."""
+    angles, steps = np.radians(degrees), np.diff(arcs, prepend=0.0)
+    means = (angles + np.roll(angles, 1)) / 2
+    means[0] = angles[0]
+    return np.column_stack([*np.cumsum(steps * [np.cos(means), np.sin(means)], axis=1), 0.0 * arcs])
 
 
 def _read_sds(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:

@@ -415,6 +415,8 @@ def fit_shaft(curve: ImportedCurve, point_sd: float, pose: Stated) -> ShaftAxis:
 def propose_shapes(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     """Return the columns of points; ask where rows may be tips, readings, or needles."""
     points = draft.points
+    if not points:
+        _ask_columns(draft)
     if not points or draft.are_deflections:
         return points
     is_array, is_alone = _is_array(draft), len(draft.groups) < 2
@@ -437,6 +439,21 @@ def propose_shapes(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     if "x" not in first.keys() | draft.taken.keys() and "depth" in draft.taken:
         draft.taken["x"] = draft.taken.pop("depth")  # points at depths
     return points
+
+
+def _ask_columns(draft: TableDraft) -> None:
+    """Ask which are the coordinates of a table without headers, or of several needles beside one x."""
+    free, along = draft.list_unknown(), [column for column in draft.all if column.axis == "x"]
+    if not any(draft.table.headers) and len(free) in (2, 3):
+        axes = {f"{axis}.column": str(column.name) for axis, column in zip("xyz", free, strict=False)}
+        shown = ", ".join("xyz"[: len(free)])
+        draft.ask("headers", {shown: axes}, axes=shown)
+    elif len(along) == 1 and free:
+        names = [str(column.name) for column in free]
+        keys = {
+            name: {"x.column": str(along[0].name), "y.column": name} for name in (*names, "|".join(names))
+        }
+        draft.draft.ask_column("y", draft.where, keys)
 
 
 def _is_array(draft: TableDraft) -> bool:

@@ -17,7 +17,7 @@ from needlefit.datasets.importing.curve_answers import (
     snap_to_axis,
 )
 from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft, spell_points
+from needlefit.datasets.importing.draft_table import MAX_FLAGS, Columns, Records, TableDraft, spell_points
 from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.meanings import read_header
@@ -302,8 +302,8 @@ MIN_SIGNS = 2  # of depths that differ, times that differ and a column of a tip:
 def propose_tracks(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     """Return the columns of readings: deflections at increasing depths, or places with signs of a track."""
     points = draft.points
-    is_log = is_stated or "time" in draft.changing
-    if len(points) > 1 and is_log and not draft.are_deflections and "guide" not in draft.draft.values:
+    is_log = (is_stated or "time" in draft.changing) and not draft.are_deflections
+    if 1 < len(points) <= MAX_FLAGS and is_log and "guide" not in draft.draft.values:
         alone = spell_points(points.values())
         guides = ({"guide.column": "|".join(keys.values())} for keys in reversed(alone.values()))
         draft.ask_tools(alone, {tip: alone[tip] | guide for tip, guide in zip(alone, guides, strict=True)})
