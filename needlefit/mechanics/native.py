@@ -367,10 +367,14 @@ def make_shapes(problem: KernelProblem, points: int, tracked: bool = True) -> Sh
     """Return room for the shapes of a problem, with so many constraint points behind the tip and under it."""
     if not 0 <= points <= problem.max_points:
         raise TypeError(f"{points} constraint points; the problem has {problem.max_points}")
-    if problem.nodes == 0:
-        x = np.empty(problem.room)
-        problem.nodes = int(load_library().nf_nodes(byref(problem), _at(x)))
+    problem.nodes = problem.nodes or count_nodes(problem)
     return Shapes.make(problem.sets, problem.nodes, points, problem.columns, problem.planes, tracked)
+
+
+def count_nodes(problem: KernelProblem) -> int:
+    """Return the number of nodes of the shape at the last stop."""
+    x = np.empty(problem.room)
+    return int(load_library().nf_nodes(byref(problem), _at(x)))
 
 
 class CutRay(NamedTuple):

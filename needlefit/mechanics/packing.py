@@ -423,12 +423,17 @@ class PreparedInsertion:
 
         Every call gives values of the same names.
         """
-        if self._problem is None:
+        if (
+            self._problem is None
+        ):  # kept of one set: those of all insertions would take half of a fit's memory
+            first = {name: array[:1] for name, array in values.items()}
             self._problem = pack_problem(
                 self.needle, self.tissue, self.steps, self.lattice, self.rules, self._packed,
-                sets=sets, values=values, columns=self.columns,
+                values=first, columns=self.columns,
             )  # fmt: skip
-            return self._problem
+            self._problem.nodes = native.count_nodes(self._problem)
+            if sets == 1:
+                return self._problem
         given = self.needle, self.tissue, self._inputs, self.rules, self._problem.planes
         return self._problem.with_sets(sets, pack_sets(*given, sets, values, self.columns)[1])
 
