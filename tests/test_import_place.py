@@ -389,6 +389,21 @@ def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
         np.testing.assert_allclose(run.guide.y, 0.1 * np.arange(16), atol=1e-4)
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_depths_of_a_stage_are_those_at_the_times_of_the_camera(tmp_path, named):
+    """The stage goes 10 mm a second, read at other times than the tip, which the camera sees too early."""
+    rows = [("r", t, 4e-2 * (t - 0.05) ** 2) for t in np.arange(-0.45, 6.0, 0.5)]
+    write_table(camera := tmp_path / "camera.csv", "run,time [s],tip y [mm]", rows)
+    stage = [("r", t, 10 * t) for t in np.arange(0.0, 7.0)]
+    rows = stage if named else [row[1:] for row in stage]
+    write_table(other := tmp_path / "b.csv", f"{'run,' * named}time [s],depth [mm]", rows)
+    assert "depths" in refusal(DataError, "nothing states the depths", planned, [camera], holds="tracks").what
+    _, plan, _ = placed([camera, other], holds="tracks", depth_zero="tissue")
+    (curve,) = plan.curves
+    np.testing.assert_allclose(curve.depths, np.arange(0.5, 60.0, 5.0), atol=1e-9)
+    np.testing.assert_allclose(curve.line[:, 0], 4e-4 * np.arange(0.0, 60.0, 5.0) ** 2, atol=1e-9)
+
+
 def test_one_of_two_tools_in_rows_of_their_own_may_be_left_out(tmp_path):
     """A log of two runs, in which a reading is lost; a table names the runs and their bevels."""
     rows = [

@@ -9,7 +9,7 @@ from needlefit.schemas.origin import Origin
 
 ColumnName = str | int  #: header of a column, or its number, from 1
 
-Holds = Literal["shapes", "tips", "tracks", "curvatures", "turns", "facts"]
+Holds = Literal["shapes", "tips", "tracks", "curvatures", "turns", "depths", "facts"]
 POINT_ROWS: tuple[Holds, ...] = ("shapes", "tips", "tracks")  #: whose coordinates are places in one unit
 
 
@@ -62,7 +62,8 @@ class TableRecord(Record):
     """Name of the sheet, or a pattern; of text tables nothing."""
     holds: Holds
     """What its rows are: points of shapes, tips (one a row), readings of tips on their way, curvatures,
-    turns of the bevel, or facts about needles, specimens or all."""
+    turns of the bevel, depths at the times of readings in another table, or facts about needles, specimens
+    or all."""
     of: Literal["needle", "specimen", "all"] = "needle"
     """Facts: about the needle or the specimen that the row names, or about all."""
     header_rows: tuple[int, ...] = (1,)

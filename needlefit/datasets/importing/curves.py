@@ -41,6 +41,7 @@ class ImportedCurve:
     depth_column: str = ""  # the header of the depths of readings
     is_deflection: bool = False  # the points are (depth, deflection up, to the right)
     rolls: Floats = field(default_factory=lambda: np.empty(0))  # (N,), of readings; where the bevel faces
+    is_timed: bool = False  # times stand where depths of readings will, which another table states
     guide: Floats | None = None  # (N, 3), mm; places of the guide at the readings
     is_named: bool = True  # a cell names it; else it has the name of its file or sheet
     given: str = ""  # its name in the file, which several curves may have

@@ -196,11 +196,15 @@ class TableDraft:
         with_x = [axes for axes in groups.values() if "x" in axes]
         if not with_x and not {"x", "depth"} & {*self.taken, *(one.meaning for one in self.all)}:
             pairs = [pair for axes in groups.values() for pair in permutations(axes.values(), 2)]
-            answers = {
+            answers: dict[str, Mapping[str, str]] = {
                 str(along.name): {"x.column": str(along.name), "y.column": str(across.name)}
                 for (along,), (across,) in pairs
             }
-            self.draft.ask_column("x", self.where, answers) if pairs else None
+            is_timed = any(column.meaning == "time" for column in self.all)
+            if is_timed:  # another table has the depths at these times
+                answers["depths at times, in another table"] = {"holds": "tracks"}
+            if pairs and not (is_timed and self.keys.get("holds") == "tracks"):
+                self.draft.ask_column("x", self.where, answers)
         lacking = [axes for axes in groups.values() if "x" not in axes]
         if len(with_x) == 1 and all("y" in axes for axes in lacking):
             for axes in lacking:

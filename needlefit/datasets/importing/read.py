@@ -54,6 +54,13 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
     for mapped in tables:
         if not mapped.has_points:
             _add_rows(mapped, curves)
+    if timed := [curve for curve in curves if curve.is_timed]:
+        raise DataError(
+            f"nothing states the depths of the readings of {timed[0].name}",
+            expected="a column `depth`, or a table of times and depths",
+            fix="name that table, too",
+            where=timed[0].points.where(),
+        )
     unwanted = split_names(mapping.values.get("leave_out", ""))
     names = {name for curve in curves for name in (curve.name, curve.given)}
     if missing := unwanted - names:
@@ -135,7 +142,9 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
     is_angle = "tangent" in columns and "x" not in columns
     is_deflection = not is_angle and ("deflection" in columns or "x" not in columns)
     across = ("deflection", "deflection_z") if "deflection" in columns else ("y", "z")
-    axes = ["arc", "tangent"] if is_angle else ["depth" if is_deflection else "x", *across]
+    is_timed = is_deflection and "depth" not in columns and "time" in columns
+    along = "time" if is_timed else "depth" if is_deflection else "x"
+    axes = ["arc", "tangent"] if is_angle else [along, *across]
     mapped.require(*axes[:2])
     axes = [axis for axis in axes if axis in columns]
     names, is_wide = mapped.names, mapped.record.layout == "wide"
@@ -163,6 +172,7 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
             mapped.record.holds,
             mapped.read_facts(rows, kind.varying),
             is_deflection=is_deflection,
+            is_timed=is_timed,
             guide=_read_guide(mapped, rows),
             is_named=bool(name),
         )
@@ -210,9 +220,8 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     """Add to needles what the rows of a table state of them: facts, turns or curvatures."""
     record, table, kind = mapped.record, mapped.table, KINDS[mapped.record.holds]
     if record.of == "all":
-        facts = mapped.read_facts(range(len(table.rows)))
         for curve in curves:
-            curve.state(facts)
+            kind.read(mapped, curve, mapped.kept_rows)
         return
     by_specimen = record.of == "specimen"
     names = ["".join(cells) for cells in mapped.cells["specimen"]] if by_specimen else mapped.names

@@ -1,0 +1,42 @@
+"""Depths at times: a row for each, of readings of tips that another table has at their own times."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from needlefit.datasets.importing.curves import ImportedCurve
+from needlefit.datasets.importing.draft_table import Columns, TableDraft
+from needlefit.datasets.importing.kinds import RowKind
+from needlefit.datasets.importing.mapped_table import MappedTable
+from needlefit.errors import DataError
+
+
+def propose_depths(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
+    """Return no columns but those of all, where a table without points has times and depths that change."""
+    if draft.points or not ({"depth", "time"} <= draft.taken.keys() and "depth" in draft.changing):
+        return {}
+    draft.keys["of"] = "needle" if "needle" in draft.taken else "all"
+    return {"": {}}
+
+
+def read_depths(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:
+    """Interpolate the depths of readings, mm, by their times; those at other times are left out."""
+    mapped.require("time", "depth")
+    times, depths = (mapped.read_numbers(meaning, rows) for meaning in ("time", "depth"))
+    order, own = np.argsort(times, kind="stable"), curve.line[:, 0]
+    inside = np.flatnonzero((own >= times.min()) & (own <= times.max()))
+    if not (curve.is_timed and len(inside)):
+        raise DataError(
+            f"the readings of {curve.name} have no times between {times.min():g} and {times.max():g}",
+            expected="a column of times in both tables, by one clock and in one unit",
+            fix="correct the times, or join the tables",
+            where=mapped.table.where,
+        )
+    curve.points, curve.is_timed = curve.points.part(inside), False
+    values = np.column_stack([np.interp(own[inside], times[order], depths[order]), curve.line[:, 1:]])
+    curve.points = replace(curve.points, values=values)
+    curve.depth_column = str(mapped.record.columns["depth"].columns[0])
+
+
+DEPTHS = RowKind("depths", propose_depths, 2, read=read_depths)
