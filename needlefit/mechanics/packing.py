@@ -423,9 +423,8 @@ class PreparedInsertion:
 
         Every call gives values of the same names.
         """
-        if (
-            self._problem is None
-        ):  # kept of one set: those of all insertions would take half of a fit's memory
+        if self._problem is None:
+            # of one set, because it is kept: arrays of hundreds take half a megabyte a needle
             first = {name: array[:1] for name, array in values.items()}
             self._problem = pack_problem(
                 self.needle, self.tissue, self.steps, self.lattice, self.rules, self._packed,
