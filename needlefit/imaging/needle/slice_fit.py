@@ -9,6 +9,15 @@ hub that holds it, and reconstructing the slices; what exceeds the scanner's num
 Needles that cross many slices are not fitted so. Two oblique ones were: their axis was off by 0.012 mm (by
 centres of cross-sections 0.007), their tips 0.30 and 0.34 mm too far (by `tip` 0.15 and 0.05 too short), in
 9.9 s of processor each (0.33).
+
+Where a needle lies flat, the sums over rays err more than the physics. In slices of 1 mm without noise,
+compared in voxels, the least squares nearest to the true place end 0.16 mm beyond the true end with planes,
+angles and pieces as here, and 0.02 mm with half the steps of planes and angles and two thirds of those of
+pieces, which take four times as long. Slopes of shifts across, taken as those of an image that moves, are
+wrong by 0.7 to 1.0 of their size there: fits end near their start. With right slopes, voxels, and finer
+planes and angles, axes of six volumes err by 0.035 mm in the mean (0.044 as it is), their tips as much as
+now, at about 1.7 times the cost. Metal elsewhere in the slices is not modelled: without it the tips of two of
+these volumes err by 0.04 and 0.08 mm (with it by 0.11 and 0.12).
 """
 
 from copy import copy
@@ -263,7 +272,7 @@ class _SliceProblem:
         count, metal = self.at.shape[1], self.project(theta)
         here = self.image(metal, theta)
         shift = (self.image(metal, theta, STEP) - here) / STEP
-        slopes = [-shift * column[:, None] for column in self.at.T]  # what moves across moves its image
+        slopes = [-shift * column[:, None] for column in self.at.T]  # about, as said above
         for n, step in enumerate(np.eye(len(theta))[count:] * STEP):
             moved = self.project(theta + step) if n < count + 2 else metal
             slopes.append((self.image(moved, theta + step) - here) / STEP)
