@@ -84,8 +84,9 @@ def file_label(path: Path) -> str:
     """Return how messages call a file: a shipped one by its name, the user's own by its path."""
     root = shipped_folder()
     if Path.cwd() != root and path.is_relative_to(root):
+        shipped = path.relative_to(root)
         for kind, pattern in _PATTERNS.items():
-            if path.relative_to(root).match(pattern.format(name="*")):
+            if shipped.match(pattern.format(name="*")):
                 return f"{kind} {_name(kind, path)} (shipped)"
     return str(path)
 
