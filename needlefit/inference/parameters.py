@@ -260,10 +260,20 @@ class Parameters:
         """Theta (P,) before any data: the means that are stated, else the middle of the bounds."""
         means = dict(zip(self.free, (0.5 * (self.lower + self.upper)).tolist(), strict=True))
         means |= {name: mean for name, (mean, _) in self.prior.marginals.items() if name in means}
-        for tie in self.prior.ties:  # a source comes before what is tied to it
-            if tie.name in means and tie.source in means and tie.name not in self.prior.marginals:
+        for tie, _, _ in self.free_ties:
+            if tie.name not in self.prior.marginals:
                 means[tie.name] = means[tie.source] + math.log(tie.factor)
         return np.array([means[name] for name in self.free])
+
+    @cached_property
+    def free_ties(self) -> list[tuple[SoftTie, int, int]]:
+        """Ties with a spread, of free parameters to free ones, with the places of both in theta.
+
+        A source comes before what is tied to it.
+        """
+        place = {name: k for k, name in enumerate(self.free)}
+        ties = (tie for tie in self.prior.ties if {tie.name, tie.source} <= place.keys())
+        return [(tie, place[tie.name], place[tie.source]) for tie in ties]
 
     def with_only(self, free: Sequence[str], values: Mapping[str, float]) -> Self:
         """Return parameters of which only `free` stay free, all others fixed at `values`.

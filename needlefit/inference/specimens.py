@@ -180,10 +180,8 @@ def differentiate_log_tip(problem: Problem, theta: Floats) -> Floats:
     solved = np.isfinite(tip) & np.isfinite(by_theta).all(axis=1)
     tip, by_theta = tip[solved], by_theta[solved]
     slopes = tip @ by_theta / max(float(tip @ tip), np.finfo(float).tiny)
-    for tie in reversed(problem.parameters.prior.ties):  # a source comes before what is tied to it
-        if tie.name in problem.names and tie.source in problem.names:
-            column, source = (problem.names.index(name) for name in (tie.name, tie.source))
-            slopes[source] += slopes[column]
+    for _, column, source in reversed(problem.parameters.free_ties):
+        slopes[source] += slopes[column]
     return slopes
 
 
@@ -417,10 +415,8 @@ def draw_population(
     chosen = np.array(list(tuned.values()))[rng.integers(len(tuned), size=count), np.arange(count)]
     mean = chosen.copy()
     mean[:, columns] = means
-    for tie in parameters.prior.ties:  # a source comes before what is tied to it
-        if tie.name in parameters.free and tie.source in parameters.free:
-            tied, other = parameters.free.index(tie.name), parameters.free.index(tie.source)
-            mean[:, tied] = mean[:, other] + chosen[:, tied] - chosen[:, other]
+    for _, column, source_column in parameters.free_ties:
+        mean[:, column] = mean[:, source_column] + chosen[:, column] - chosen[:, source_column]
     new = draw_specimens(parameters, model, mean, covariances, rng)
     return PopulationDraws(tuned, mean, new, covariances, faults, draws.k, ess, source)
 
@@ -445,11 +441,9 @@ def draw_specimens(
         some[:, columns] += np.einsum(
             "bpq,bq->bp", roots[left], rng.standard_normal((len(left), len(columns)))
         )
-        for tie in parameters.prior.ties:  # a source comes before what is tied to it
-            if tie.name in parameters.free and tie.source in parameters.free:
-                column, source = (parameters.free.index(name) for name in (tie.name, tie.source))
-                ratio = math.log(tie.factor) + math.log(tie.spread) * rng.standard_normal(len(some))
-                some[:, column] = some[:, source] + ratio
+        for tie, column, source in parameters.free_ties:
+            ratio = math.log(tie.factor) + math.log(tie.spread) * rng.standard_normal(len(some))
+            some[:, column] = some[:, source] + ratio
         drawn[left] = some
         outside = (some < parameters.lower) | (some > parameters.upper)
         left = left[np.any(outside, axis=1)]
