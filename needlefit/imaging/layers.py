@@ -25,7 +25,7 @@ from needlefit.datasets.layers import compute_depths, find_hole, find_surface_fa
 from needlefit.errors import DataError, located
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.geometry.frames import RAS_TO_LPS, Frame
+from needlefit.geometry.frames import RAS_TO_LPS, Frame, to_unit
 from needlefit.geometry.meshes import extract_solid
 from needlefit.geometry.surfaces import (
     Surface,
@@ -264,7 +264,7 @@ def find_crossed_layers(
         return Layers(surfaces, np.empty(0), np.empty(0), np.empty((0, 3)), crossed.sequence)
     places = interpolate_at_arc(points, crossed.arc)
     before, after = (interpolate_at_arc(points, crossed.arc + s * MM.STATION) for s in (-1, 1))
-    tangents = (after - before) / np.linalg.norm(after - before, axis=1, keepdims=True)
+    tangents = to_unit(after - before)
     _, normals = find_nearest(places, surfaces)
     cosines = np.sum(normals * tangents, axis=1)
     across = np.interp(crossed.arc, arc_length(points), errors.centerline)

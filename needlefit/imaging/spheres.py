@@ -174,10 +174,8 @@ def _fit_model(near: SphereVoxels, first: Floats) -> tuple[Floats, Floats, Float
 
     Return them, residuals (N,), HU, and their covariance (13, 13); voxels in one blur count as one.
     """
-    count, noise = (
-        len(near.values),
-        PART.FIRST_NOISE * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL]),
-    )
+    noise = PART.FIRST_NOISE * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL])
+    count = len(near.values)
     best = _minimize(near, first, noise)
     noise = max(1.0, noise * robust_sd(best.fun[:count]))
     alike = max(1.0, MM.BLUR_CORE**3 / float(np.prod(near.spacing)))

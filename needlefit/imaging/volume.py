@@ -14,6 +14,7 @@ from scipy.ndimage import map_coordinates
 
 from needlefit.arrays import Floats, Ints, are_bounded
 from needlefit.errors import DataError
+from needlefit.geometry.frames import to_unit
 from needlefit.imaging.constants import HU, PART
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
 from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_bytes
@@ -122,8 +123,8 @@ def orthogonalize(direction: Floats) -> Floats:
     """Return exactly perpendicular axes (3, 3), the nearest to `direction` (3, 3); k leans on if it leant."""
     if is_tilted(direction):
         normal = np.cross(direction[:, 0], direction[:, 1])
-        axes = orthogonalize(np.column_stack([direction[:, :2], normal / np.linalg.norm(normal)]))
-        return np.column_stack([axes[:, :2], direction[:, 2] / np.linalg.norm(direction[:, 2])])
+        axes = orthogonalize(np.column_stack([direction[:, :2], to_unit(normal)]))
+        return np.column_stack([axes[:, :2], to_unit(direction[:, 2])])
     return polar(direction)[0]
 
 

@@ -7,6 +7,7 @@ from scipy.interpolate import BSpline
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import make_normal
+from needlefit.geometry.frames import to_unit
 from needlefit.geometry.smoothing_spline import DEGREE, design_matrix, free_end_basis, make_knots
 from needlefit.imaging.constants import MM, SD
 from needlefit.imaging.volume import Volume, sample
@@ -133,10 +134,8 @@ def frames_along(points: Floats) -> AxisFrames:
 
 
 def _make_frames(origins: Floats, ways: Floats, chord: Floats) -> AxisFrames:
-    tangents = ways / np.linalg.norm(ways, axis=1, keepdims=True)
-    reference = make_normal(chord / np.linalg.norm(chord))
-    u = reference - (tangents @ reference)[:, None] * tangents
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    tangents, reference = to_unit(ways), make_normal(to_unit(chord))
+    u = to_unit(reference - (tangents @ reference)[:, None] * tangents)
     return AxisFrames(origins, tangents, u, np.cross(tangents, u))
 
 

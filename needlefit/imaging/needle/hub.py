@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.geometry.frames import to_unit
 from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import ROUNDS, disc_points, frames_along, sample_planes
 from needlefit.imaging.volume import Volume
@@ -24,7 +25,7 @@ def find_hub(volume: Volume, points: Floats, diameter: float) -> Hub | None:
     plane, s = disc_points(side), np.arange(0.0, MM.REACH, MM.STATION)
     for _ in range(ROUNDS):
         lever = points[np.argmin(np.abs(np.linalg.norm(points - middle, axis=1) - MM.NEEDLE_LENGTH))]
-        way = (middle - lever) / np.linalg.norm(middle - lever)
+        way = to_unit(middle - lever)
         start = middle + way * ((points[0] - middle) @ way)
         where = frames_along(start + s[:, None] * way)
         values = sample_planes(volume, where, plane)

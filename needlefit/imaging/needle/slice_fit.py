@@ -33,6 +33,7 @@ from scipy.sparse import csr_array
 
 from needlefit.arrays import Bools, Floats
 from needlefit.geometry.curves import arc_length
+from needlefit.geometry.frames import to_unit
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
 from needlefit.imaging.constants import MM, PART, SCANNER, SD
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
@@ -87,8 +88,8 @@ def place_in_slices(
     if shown or steepness * MM.KNOT / thick >= MAX_CROSSED:
         return None
     points = axis.spline(np.append(np.arange(0.0, tip, STEP_MM), tip))
-    way = points[-1] - points[0] - (points[-1] - points[0]) @ normal * normal
-    way /= np.linalg.norm(way)
+    chord = points[-1] - points[0]
+    way = to_unit(chord - chord @ normal * normal)
     frame = np.stack([way, np.cross(normal, way), normal])
     # the middle of the whole needle: projections reach as far on both sides
     origin = points[-1] - way * needle.length_mm / 2
@@ -207,7 +208,7 @@ class _SliceProblem:
         bent = np.vstack([shear, basis.derivative(2)(unique[-1:]) / MM.END_MOMENT])
         self.bent = bent * moment / SHEAR_SD_MM2  # (J, C) from coefficients to shear forces, in deviations
         self.hub, self.thick, self.needle = hub, thick, needle
-        self.last, self.heights, self.stations, self.side = x[-1], slices * thick, stations, side
+        self.last, self.samples = x[-1], (thick, slices * thick, stations, side)
         expected = spread or expected_spread(thick)
         profile = np.log(expected.weigh_planes(SENSITIVITY_AT[1:] * thick))
         # what is known of the parameters of the scan (11,), and its deviations
@@ -224,13 +225,12 @@ class _SliceProblem:
         steep = min(true, 2 * radius / step)
         # a bevel that projects as the end does reaches farther
         placed.end = self.last + radius / steep - radius / true
-        slices = self.thick, self.heights, self.stations, self.side
-        placed.rod = rod = Rod(columns, radius, steep, *slices, rough * VIEW_STEP)
+        placed.rod = Rod(columns, radius, steep, *self.samples, rough * VIEW_STEP)
         if self.hub is not None:
-            (back, front) = self.hub.ends
-            across, along = (np.interp(columns, [back[0], front[0]], [back[n], front[n]]) for n in (1, 2))
-            held = float(back[0]), self.hub.radius
-            placed.held = rod.lengths(across, along, float(front[0]), 0.0, held)
+            places, *course = self.hub.ends.T
+            begin, end = places.tolist()
+            across, along = (np.interp(columns, places, beside) for beside in course)
+            placed.held = placed.rod.lengths(across, along, end, 0.0, (begin, self.hub.radius))
         return placed
 
     def split(self, theta: Floats) -> list[Floats]:
