@@ -84,7 +84,7 @@ def _add_entry(columns: TableDraft, kind: RowKind, name: str, taken: Columns) ->
         records.setdefault("needle", {"value": name})
     for meaning, parts in draft.columns.items():
         beside = {key: part for key, part in parts.items() if key != "column"}
-        if meaning in records or (beside.keys() & {"source", "value"} and has_points):
+        if meaning in records or (beside.keys() & {"source", "value"} and kind.placer):
             records[meaning] = records.get(meaning, {}) | beside
     for meaning, record in records.items():
         of_meaning, is_point = taken.get(meaning, ()), meaning in COORDINATES and has_points

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count, pairwise, permutations
+from types import MappingProxyType
 
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.meanings import (
@@ -311,11 +312,12 @@ class TableDraft:
         del self.taken[key]  # each is of a needle
         return {str(column.name): {key: [column]} for column in columns}
 
-    def ask_column(self, meaning: str, columns: Sequence[Column] = (), *further: str) -> None:
-        """Ask which column has a meaning, perhaps one of some."""
-        names = [*(str(column.name) for column in columns), *further]
-        answers = {name: {f"{meaning}.column": name} for name in names}
-        self.draft.ask_column(meaning, self.where, answers)
+    def ask_column(
+        self, meaning: str, columns: Sequence[Column] = (), further: Answers = MappingProxyType({})
+    ) -> None:
+        """Ask which column has a meaning, perhaps one of some; `further` answers state something else."""
+        answers = {str(column.name): {f"{meaning}.column": str(column.name)} for column in columns}
+        self.draft.ask_column(meaning, self.where, {**answers, **further})
 
     @cached_property
     def changing(self) -> set[str]:

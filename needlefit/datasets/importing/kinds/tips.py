@@ -171,7 +171,8 @@ def propose_tips(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     taken, points = draft.taken, draft.points
     if not points:
         if "depth" in taken and "needle" not in taken and len(unknown := draft.list_unknown()) > 1:
-            draft.ask_column("deflection", unknown, "|".join(str(column.name) for column in unknown))
+            joined = "|".join(str(column.name) for column in unknown)
+            draft.ask_column("deflection", unknown, {joined: {"deflection.column": joined}})
         return {}
     if is_stated or draft.are_deflections:
         return points
