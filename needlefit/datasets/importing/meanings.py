@@ -184,7 +184,7 @@ def read_header(text: str) -> Header:
     rest = [word for word in words if word != axes[0] and not find_meaning("filler", word)]
     beside = _look_up("column", rest)[0] if rest else ""
     beside_axis = re.sub(
-        rf"(?<![a-z]){axes[0]}(?![a-z])", " ", _CAMEL.sub(" ", plain), count=1, flags=re.IGNORECASE
+        rf"(?<![a-z])t?{axes[0]}(?![a-z])", " ", _CAMEL.sub(" ", plain), count=1, flags=re.IGNORECASE
     )
     group = "" if beside in _POINT_WORDS or not rest else beside or beside_axis.strip(" _-.:#")
     return Header(text, "", axes[0], group, unit, beside)

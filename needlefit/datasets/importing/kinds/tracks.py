@@ -20,7 +20,7 @@ from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.draft_table import MAX_FLAGS, Columns, Records, TableDraft, spell_points
 from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
-from needlefit.datasets.importing.meanings import read_header
+from needlefit.datasets.importing.meanings import find_meaning, read_header
 from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.datasets.insertion import GUIDE_STILL_MM
 from needlefit.datasets.layers import SAME_POINT_MM
@@ -302,7 +302,8 @@ MIN_SIGNS = 2  # of depths that differ, times that differ and a column of a tip:
 def propose_tracks(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     """Return the columns of readings: deflections at increasing depths, or places with signs of a track."""
     points = draft.points
-    is_log = (is_stated or "time" in draft.changing) and not draft.are_deflections
+    words = {find_meaning("column", word) for name in points for word in name.split()}
+    is_log = (is_stated or "tool" in words or "time" in draft.changing) and not draft.are_deflections
     if 1 < len(points) <= MAX_FLAGS and is_log and "guide" not in draft.draft.values:
         alone = spell_points(points.values())
         guides = ({"guide.column": "|".join(keys.values())} for keys in reversed(alone.values()))
