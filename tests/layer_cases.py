@@ -7,9 +7,10 @@ import numpy as np
 import trimesh
 from scanner.write import write_volume
 from scipy.spatial.transform import Rotation
+from synthetic.design import make_cylinder
 
 from needlefit.geometry.frames import Frame
-from needlefit.geometry.surfaces import make_cylinder, make_sheet
+from needlefit.geometry.surfaces import make_sheet
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume import Volume, to_patient
 

@@ -11,6 +11,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 from refusals import refusal
+from synthetic.design import make_cylinder
 
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.insertion import Noise
@@ -20,7 +21,7 @@ from needlefit.datasets.select import select_insertions
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import Frame
-from needlefit.geometry.surfaces import make_cylinder, make_sheet
+from needlefit.geometry.surfaces import make_sheet
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.study import SelectionRecord

@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 from refusals import refused_file
+from synthetic.design import make_cylinder
 
 from needlefit.geometry.crossings import find_crossings, measure_enclosed_length
 from needlefit.geometry.meshes import extract_solid
-from needlefit.geometry.surfaces import Surface, find_mesh_faults, make_cylinder, make_sheet, read_surface
+from needlefit.geometry.surfaces import Surface, find_mesh_faults, make_sheet, read_surface
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -286,33 +286,6 @@ def make_sheet(name: str, center: ArrayLike, normal: ArrayLike, size: float, int
     return Surface(name, vertices, np.array([[0, 1, 2], [0, 2, 3]]), "sheet", into)
 
 
-def make_cylinder(
-    name: str, ends: tuple[ArrayLike, ArrayLike], radius: float, into: int, facets: int = 96
-) -> Surface:
-    """Return a closed cylinder (an inscribed prism) between the centres `ends` of its faces; mm."""
-    bottom, top = (np.asarray(end, dtype=np.float64) for end in ends)
-    z = normalize(top - bottom, "cylinder axis")
-    x = make_normal(z)
-    angle = 2 * np.pi * np.arange(facets) / facets
-    rim = radius * (np.outer(np.cos(angle), x) + np.outer(np.sin(angle), np.cross(z, x)))  # (facets, 3)
-    vertices = np.vstack([bottom + rim, top + rim, bottom, top])
-    i = np.arange(facets)
-    j, centre_bottom, centre_top = (
-        (i + 1) % facets,
-        np.full(facets, 2 * facets),
-        np.full(facets, 2 * facets + 1),
-    )
-    faces = np.vstack(
-        [
-            np.column_stack([i, j, j + facets]),
-            np.column_stack([i, j + facets, i + facets]),
-            np.column_stack([j, i, centre_bottom]),
-            np.column_stack([i + facets, j + facets, centre_top]),
-        ]
-    )
-    return Surface(name, vertices, faces, "solid", into)
-
-
 def find_mesh_faults(surface: Surface) -> list[str]:
     """Return why a surface cannot be a boundary: a "solid" must be closed, a "sheet" without holes."""
     kind = surface.kind

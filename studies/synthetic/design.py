@@ -14,12 +14,41 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
-from needlefit.geometry.surfaces import Surface, make_cylinder, make_sheet
+from needlefit.geometry.curves import make_normal
+from needlefit.geometry.frames import normalize
+from needlefit.geometry.surfaces import Surface, make_sheet
 from needlefit.mechanics.needle import Needle
 from needlefit.project.locate import unknown_name_error
 from needlefit.project.random_streams import random_stream
 
 BOX_MM = 80.0  # edge of the box, mm
+
+
+def make_cylinder(
+    name: str, ends: tuple[ArrayLike, ArrayLike], radius: float, into: int, facets: int = 96
+) -> Surface:
+    """Return a closed cylinder (an inscribed prism) between the centres `ends` of its faces; mm."""
+    bottom, top = (np.asarray(end, dtype=np.float64) for end in ends)
+    z = normalize(top - bottom, "cylinder axis")
+    x = make_normal(z)
+    angle = 2 * np.pi * np.arange(facets) / facets
+    rim = radius * (np.outer(np.cos(angle), x) + np.outer(np.sin(angle), np.cross(z, x)))  # (facets, 3)
+    vertices = np.vstack([bottom + rim, top + rim, bottom, top])
+    i = np.arange(facets)
+    j, centre_bottom, centre_top = (
+        (i + 1) % facets,
+        np.full(facets, 2 * facets),
+        np.full(facets, 2 * facets + 1),
+    )
+    faces = np.vstack(
+        [
+            np.column_stack([i, j, j + facets]),
+            np.column_stack([i, j + facets, i + facets]),
+            np.column_stack([j, i, centre_bottom]),
+            np.column_stack([i + facets, j + facets, centre_top]),
+        ]
+    )
+    return Surface(name, vertices, faces, "solid", into)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.read import read_curves, read_mapped
 from needlefit.datasets.importing.stated import Question, Settler, UnansweredError, name_set
 from needlefit.errors import ConfigError, DataError
-from needlefit.project.locate import join_names
 from needlefit.project.toml import check, load, override
 from needlefit.schemas.mapping import POINT_ROWS, MappingRecord
 
@@ -104,12 +103,7 @@ def _prepare(paths: Sequence[Path], assignments: Pairs, mapping: Path | None) ->
     else:
         record, unused, where = _load(mapping, assignments), [], str(mapping)
         files = list_different(_list_named(paths))
-    try:
-        content = read_mapped(record, files, where)
-    except DataError as error:
-        folders = [what for what, _ in unused if what.startswith("folder")]
-        fix = f"{error.fix}; or name {join_names(folders, 3)}, too: it was not searched"
-        raise (error.replace(fix=fix) if folders else error) from None
+    content = read_mapped(record, files, where)
     _require_lengths(content, record)
     examples = find_examples(content.curves)
     values, assumed = dict(record.values), dict(record.assumed)
