@@ -298,7 +298,7 @@ LINES, SPLINE = np.interp, lambda at, x, y: CubicSpline(x, y)(at)
 NOISY, STIFF = Design(noise=0.1), Design(bend=0.3)
 THREE = Design(mu=(1.5, 0.044, 0.4), tops=(15.0, 28.0))
 SCALED, TURNED, SHIFTED = ("scaled",), ("turned",), ("shifted", "stepped")
-END_OFF = ("end_off",)
+TIP_OFF = ("tip_off",)
 KINDS = {
     # one point
     "a point 2 mm off in y": Mistake("point", move(0, 2, 0)),
@@ -308,11 +308,11 @@ KINDS = {
     "a point's y and z exchanged": Mistake(-2, exchange_axes),
     "a point twice": Mistake("needle", lambda points: np.insert(points, 3, points[3], axis=0)),
     "two points exchanged": Mistake("needle", lambda points: points[[0, 1, 3, 2, *range(4, len(points))]]),
-    "the tip 1 mm off": Mistake(-1, move(0, 1, 0), causes=END_OFF),
-    "the tip's y saved as 0": Mistake(-1, scale(1, 0, 1), causes=END_OFF),
-    "the first point 1 mm off": Mistake(0, move(0, 0, 1), causes=END_OFF),
-    "the tip 1 mm off at noise of 0.1 mm": Mistake(-1, move(0, 1, 0), causes=END_OFF, design=NOISY),
-    "the first point 1 mm off at noise of 0.1 mm": Mistake(0, move(0, 0, 1), causes=END_OFF, design=NOISY),
+    "the tip 1 mm off": Mistake(-1, move(0, 1, 0), causes=TIP_OFF),
+    "the tip's y saved as 0": Mistake(-1, scale(1, 0, 1), causes=TIP_OFF),
+    "the first point 1 mm off": Mistake(0, move(0, 0, 1)),
+    "the tip 1 mm off at noise of 0.1 mm": Mistake(-1, move(0, 1, 0), causes=TIP_OFF, design=NOISY),
+    "the first point 1 mm off at noise of 0.1 mm": Mistake(0, move(0, 0, 1), design=NOISY),
     "a step of 1 mm in y": Mistake("needle", partial(step, (0, 1, 0)), causes=("stepped",)),
     "a step of 1 mm in z": Mistake("needle", partial(step, (0, 0, -1)), causes=("stepped",)),
     # one needle

@@ -22,6 +22,7 @@ from needlefit.errors import ConfigError, DataError, FitError, ModelError
 from needlefit.project.locate import find_file
 from needlefit.project.toml import dumps
 from needlefit.reporting.table import TableColumn, TableLayout
+from needlefit.studies.first_page import CHECKS
 
 FULL = Path("/dev/full")
 posix = pytest.mark.skipif(os.name != "posix", reason="redirections of a POSIX shell")
@@ -216,6 +217,16 @@ def test_a_fault_of_a_study_is_named_with_its_file(tmp_path, changes, capsys):
     (tmp_path / "mine.toml").write_text(changes)
     assert run("check", tmp_path / "mine.toml") == 3
     assert "mine.toml" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("study", "reason"), [("study5", "few"), ("turned_planar", "plane")])
+def test_a_check_of_a_study_states_why_its_needles_were_not_compared(
+    tmp_path, study, reason, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert run("check", study) == 0
+    shown = " ".join(capsys.readouterr().err.split())
+    assert CHECKS.sentence("unjudged", {"unjudged": reason}) in shown
 
 
 @pytest.mark.parametrize("width", [30, 44, 60, 80, 120])

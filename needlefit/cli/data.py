@@ -242,7 +242,7 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
         if faults.doubts and faults.doubts.unjudged:
             from needlefit.studies.first_page import CHECKS
 
-            screen.print_note(CHECKS.sentence("unjudged", vars(faults.doubts)))
+            screen.print_note(CHECKS.sentence("unjudged", faults.doubts._asdict()))
         command = "tune" if kind == "fit" else "validate"
         screen.print_note(f"next: {shlex.join(('needlefit', command, name))}")
 

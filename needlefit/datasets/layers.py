@@ -286,7 +286,7 @@ def find_curve_faults(
                 f"{depth_mm} is {row.depth:.4g}, and the centreline spans {span:.4g}: "
                 f"{'the centreline' if of_points else depth_mm} looks like {name}",
                 expected="millimetres",
-                fix=f"multiply it by {factor:g}",
+                fix=f"look at its unit; in millimetres it would be {factor:g} times as much",
                 where=points.where() if of_points else place,
             )
             return  # every other length is wrong as well

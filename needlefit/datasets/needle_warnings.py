@@ -38,7 +38,7 @@ def find_side_warnings(
     names = tuple(one.id for one, _ in away)
     what = f"bent away from the bevel side: {join_names(names, MAX_NAMED_INSERTIONS)}"
     what += f" ({len(away)} of {clear} that bend clearly)"
-    fix = f"correct `{column}`, or the bevel direction, by the source"
+    fix = f"compare `{column}`, the bevel direction and the sign of the points with their source"
     if len(away) == clear > 1:
         what, names = f"all {clear} insertions that bend clearly bend away from their bevel side", ()
         fix = f"check whether `{column}` is flipped: a needle of side 1 bends along the bevel direction"

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from needlefit.arrays import Floats
 from needlefit.datasets.compared import MIN_LOG_ODDS
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.layers import find_length_tolerance
@@ -132,18 +131,10 @@ def _find_step(insertion: Insertion, _: Sequence[Insertion], axis: int) -> dict[
     return {str(first + 1): first}
 
 
-def _list_ends(insertion: Insertion, *_: Any) -> dict[str, float]:  # noqa: ANN401 - others and axis
-    """Return x (mm) of the first point and of the tip, by number: of others neighbours tell before a fit."""
+def _find_tip(insertion: Insertion, *_: Any) -> dict[str, int]:  # noqa: ANN401 - others and axis
+    """Return the last point, from 0, by its number; none of few. Neighbours tell which other point is off."""
     count = len(insertion.points)
-    return {str(n): float(insertion.points[n - 1, 0]) for n in (1, count) if count > 3}
-
-
-def _shift_point(insertion: Insertion, size: float, axis: int, x: float) -> Insertion:
-    def change(points: Floats) -> Floats:
-        is_nearest = np.arange(len(points)) == np.argmin(np.abs(points[:, 0] - x))
-        return points - np.outer(is_nearest, size * np.eye(3)[axis])
-
-    return insertion.map_points(change)
+    return {str(count): count - 1} if count > 3 else {}
 
 
 def list_boundaries(
@@ -194,7 +185,8 @@ HYPOTHESES: Mapping[str, Hypothesis] = {
     # a guide, or soft tissue at the entry, gives way toward the bevel
     "given_way": Hypothesis(_give_way, axes=(), is_mistake=False, common_sizes=(0.0, 2.5, 5.0)),
     "stepped": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), _find_step),
-    "end_off": Hypothesis(_shift_point, (-20.0, 20.0), (IN_PLANE, ASIDE), _list_ends),
+    # an entry that gave way would look like a first point that is off
+    "tip_off": Hypothesis(_shift, (-20.0, 20.0), (IN_PLANE, ASIDE), _find_tip),
     "boundary": Hypothesis(_move_boundary, (-30.0, 30.0), list_choices=list_boundaries, changes_model=True),
     "of_another": Hypothesis(_take_points, list_choices=_list_deeper, reaches_tip=False, changes_model=True),
 }
@@ -212,10 +204,13 @@ def list_changes(insertion: Insertion, others: Sequence[Insertion], directions: 
                 yield Change(cause, axis, where, choice, starts, (), cost)
 
 
-def explain(changes: Iterable[Change], search: Search, nothing: float) -> Explanation | None:
+def explain(
+    changes: Iterable[Change], search: Search, nothing: float, least: float = HAPPENED_LOG_ODDS
+) -> Explanation | None:
     """Return what explains the needles best, if they then lie as predicted.
 
-    `nothing`: log odds that nothing happened, which is one of the hypotheses.
+    `nothing`: log odds that nothing happened, which is one of the hypotheses. `least`: log odds from which on
+    something did.
     """
     rows = list[Explanation]()
     for change in changes:
@@ -235,7 +230,7 @@ def explain(changes: Iterable[Change], search: Search, nothing: float) -> Explan
     others = [row for row in rows if (row.change.cause == best.change.cause) == math.isinf(row.sds)]
     other = max((row.log_odds for row in others), default=0.0)
     is_sized = len(best.change.starts) == 1 or math.isfinite(best.sd)
-    is_clear = best.log_odds >= max(HAPPENED_LOG_ODDS, other + MIN_LOG_ODDS)
+    is_clear = best.log_odds >= max(least, other + MIN_LOG_ODDS)
     return best._replace(is_clear=is_sized and is_clear)
 
 

@@ -202,7 +202,7 @@ class ShapePlacer(Placer):
                     where=curve.points.where(),
                 )
             if abs(curve.depth - length) > limit:
-                fix = "correct the depth, or the order of the points; or cut off a shaft by entry_point"
+                fix = "look at the depth and at the order of the points; or cut off a shaft by entry_point"
                 units = [unit for unit, mm in UNITS_MM.items() if abs(length * mm - curve.depth) < limit]
                 if units:
                     fix = (
