@@ -349,8 +349,8 @@ KINDS = {
     "a specimen in two spellings": Mistake(
         "table", partial(rewrite, "block", lambda _: "blokc n1"), "blokc", design=Design(is_one_block=True)),
     # all needles
-    "all y in centimetres": Mistake("all", scale(1, 0.1, 1), "y"),
-    "all y ten times too large": Mistake("all", scale(1, 10, 1), "y"),
+    "all y in centimetres": Mistake("all", scale(1, 0.1, 1), "along y"),
+    "all y ten times too large": Mistake("all", scale(1, 10, 1), "along y"),
     "all points in centimetres": Mistake("all", scale(0.1, 0.1, 0.1), "centimetres"),
     "all points 1.1 times too large": Mistake("all", scale(1.1, 1.1, 1.1), "long"),
     "all mirrored": Mistake("all", scale(1, -1, 1), "side"),

@@ -16,7 +16,7 @@ from needlefit.cli.execution import show_next_steps
 from needlefit.cli.exit_codes import Invocation
 from needlefit.cli.options import argument, option, split_pair
 from needlefit.errors import ConfigError, DataError
-from needlefit.project.locate import PROJECT_FOLDERS, format_path, join_names, shipped_folder
+from needlefit.project.locate import PROJECT_FOLDERS, format_path, shipped_folder
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_rows
 from needlefit.schemas.origin import ORIGIN_MARKS
 
@@ -250,21 +250,6 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
 FAULT_PARTS = ("where", "what", "expected", "fix")  # of a fault as JSON
 
 
-def _describe_planes(planes: Sequence[tuple[str, float, float]]) -> str:
-    """Return how far needles are off the plane of their bevels, or off their turns; worst first.
-
-    Needles are listed only where errors do not explain it.
-    """
-    from needlefit.datasets.compared import MAX_NAMED_INSERTIONS, SIGNIFICANT_SD
-
-    away = [f"{name} {mm:.2f} mm ({sds:.1f} SD)" for name, mm, sds in planes if sds > SIGNIFICANT_SD]
-    if away:
-        return f"Out of plane by more than errors explain: {join_names(away, MAX_NAMED_INSERTIONS)}."
-    (_, _, worst), most = planes[0], max(mm for _, mm, _ in planes)
-    is_known = not math.isnan(worst)
-    return f"Out of plane: at most {most:.2f} mm" + (f" ({worst:.1f} SD), as expected." if is_known else ".")
-
-
 def _check_dataset(invocation: Invocation, path: Path) -> None:
     from needlefit.datasets.faults import merge_like
     from needlefit.datasets.needles import describe_needles, summarize_needles
@@ -314,6 +299,8 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
             shown[label] = least + " to " + most
         screen.show_frame(shown.reset_index(), "")
         if planes:
-            screen.print_text(_describe_planes(planes))
+            _, off_mm, sds = max(planes, key=lambda plane: plane[1])
+            known = "" if math.isnan(sds) else f" ({sds:.1f} SD)"
+            screen.print_text(f"Out of the planes of their bevels: at most {off_mm:.2f} mm{known}.")
     if faults:
         raise typer.Exit(DataError.exit_code)

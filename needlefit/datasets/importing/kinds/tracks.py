@@ -190,7 +190,8 @@ def settle_rolls(asked: CurveAnswers) -> None:
     if is_flat and not in_space:
         asked.assumed["deflection"] = "toward the bevel of side 1: one deflection is stated of each tip"
     for curve in curves:
-        curve.turn *= not (in_space or is_flat)  # of one plane, in which they bend
+        if in_space or is_flat:  # of one plane, in which they bend
+            curve.turn = 0.0
         starts = np.append(0.0, curve.depths[:-1])
         rolls = curve.rolls if len(curve.rolls) else np.full(len(starts), contact[curve])
         for depth, cell in curve.turns:
