@@ -83,7 +83,7 @@ def test_every_command_takes_a_run_that_was_moved_alone(line, places, capsys):
 def test_a_moved_run_is_opened_with_its_measured_needle_and_draws(places):
     shutil.rmtree(places.project)
     shown = open_target("../moved/held_out/needle-2")
-    assert shown.measured.id == "needle-2" and shown.spread is not None
+    assert shown.measured["id"] == "needle-2" and shown.spread is not None
 
 
 @pytest.mark.parametrize(
