@@ -69,7 +69,7 @@ def find_doubts(problem: Problem, theta: Floats | None = None, *, seeks_common: 
     odd, limit = list[int](), find_limit(count)
 
     def describe(k: int) -> DoubtMetadata | None:
-        return _describe(problem, k, fitted, predictions[k], sds[k])
+        return _describe(problem, k, fitted, predictions[k], sds[k], limit)
 
     while True:
         rest = [k for k in range(count) if k not in odd]
@@ -130,14 +130,14 @@ def _find_shared(problem: Problem, theta: Floats, odd: set[str]) -> Doubts | Non
 
 
 def _describe(
-    problem: Problem, number: int, theta: Floats, predicted: Prediction, sds: float
+    problem: Problem, number: int, theta: Floats, predicted: Prediction, sds: float, limit: float
 ) -> DoubtMetadata | None:
     """Return what is known of a needle, given what the others predict; None if it is not odd.
 
-    It is if it lies too far from its prediction, or farther than most and something is far more probable than
-    nothing. Of the latter is asked where errors alone keep the others from their fit.
+    It is if it lies beyond the `limit` (SD) from its prediction, or farther than most and something is far
+    more probable than nothing. Of the latter is asked where errors alone keep the others from their fit.
     """
-    is_near = sds < find_limit(len(problem.insertions))
+    is_near = sds < limit
     if is_near and not (sds > PREDICTED_SD and predicted.describes(sum(problem.density.residual_counts))):
         return None
 

@@ -344,8 +344,8 @@ def list_checks(run: Run) -> tuple[Finding, ...]:
     # whether no warning casts doubt on data or result; None if the only one is of assumed values
     named = [doubt.kind for doubt in list_doubts(run.warnings)]
     passed = None if set(named) == {ASSUMED} else not named
-    finding = Finding(Check.DATA, passed, len(named), 0, ", ".join(named))
-    return (*findings, replace(finding, unjudged=run.knows(FitMetadata).unjudged))
+    unjudged = run.knows(FitMetadata).unjudged
+    return (*findings, Finding(Check.DATA, passed, len(named), 0, ", ".join(named), unjudged=unjudged))
 
 
 def check_curves(judged: Judgement) -> Finding:

@@ -3,7 +3,7 @@
 import os
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -92,7 +92,7 @@ class StudyCheck:
     folds: tuple[tuple[int, int], ...] = ()
     warnings: tuple[ResultWarning, ...] = ()  #: about the data and the study
     origin: Origin = "measured"  #: of the data
-    doubts: Doubts | None = None  #: about its needles, of a quick fit; of these kinds alone
+    doubts: Doubts = field(default_factory=Doubts)  #: about its needles, of a quick fit; none of other kinds
 
 
 @one_thread

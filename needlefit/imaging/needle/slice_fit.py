@@ -272,7 +272,8 @@ class _SliceProblem:
         count, metal = self.at.shape[1], self.project(theta)
         here = self.image(metal, theta)
         shift = (self.image(metal, theta, STEP) - here) / STEP
-        slopes = [-shift * column[:, None] for column in self.at.T]  # about, as said above
+        # approximate: the image is taken to move with the needle
+        slopes = [-shift * column[:, None] for column in self.at.T]
         for n, step in enumerate(np.eye(len(theta))[count:] * STEP):
             moved = self.project(theta + step) if n < count + 2 else metal
             slopes.append((self.image(moved, theta + step) - here) / STEP)
