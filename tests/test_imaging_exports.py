@@ -1,4 +1,4 @@
-"""Scans as image archives export them: folders in folders, DICOMDIR, ZIP."""
+"""Scans as image archives export them: folders in folders, ZIP."""
 
 import zipfile
 from pathlib import Path
@@ -57,16 +57,9 @@ def test_the_series_of_an_export_are_listed_with_their_folders(tmp_path):
 def test_values_that_are_no_hu_are_refused_and_an_unspecified_unit_gives_a_warning(tmp_path):
     for unit in ["OD", "MGML", "MG HA/CCM"]:
         fault = refused(save(tmp_path, series(RescaleType=unit)))
-        assert unit in fault.what and "micro-CT" in fault.fix
+        assert f"RescaleType is {unit}" in fault.what and "micro-CT" in fault.fix
     (warning,) = read_volume(save(tmp_path, series(RescaleType="US"))).warnings
     assert "RescaleType" in warning
-
-
-def test_a_directory_names_its_folder(tmp_path):
-    save(tmp_path / "CT", series())
-    path = tmp_path / "DICOMDIR"
-    path.write_bytes(b"of which nothing is read")
-    assert np.array_equal(read_volume(path).values, NUMBERS)
 
 
 # ---- archives
@@ -76,7 +69,7 @@ def test_archives_of_series_and_of_image_files(tmp_path):
     inner = pack(tmp_path / "inner.zip", save(tmp_path / "series", series()))
     assert np.array_equal(read_volume(inner).values, NUMBERS)
     outer = pack(tmp_path / "outer.zip", [("a/inner.zip", inner.read_bytes())])
-    assert "a/" in refused(outer).what
+    assert "no series" in refused(outer).what
     (tmp_path := tmp_path / "b").mkdir()
     volume = Volume(NUMBERS.astype(np.float32), np.zeros(3), np.ones(3), np.eye(3))
     write_volume(volume, tmp_path / "a.nrrd")
@@ -84,11 +77,11 @@ def test_archives_of_series_and_of_image_files(tmp_path):
     path = pack(tmp_path / "one.zip", [("x/a.nrrd", data), ("__MACOSX/._a.nrrd", b"x")])
     assert np.array_equal(read_volume(path).values, NUMBERS)
     path = pack(tmp_path / "two.zip", [("x/a.nrrd", data), ("b.nrrd", data)])
-    assert "b.nrrd" in refused(path).what and np.array_equal(read_volume(path, "b.nrrd").values, NUMBERS)
+    assert "b.nrrd" in refused(path).what
     dicom = save(tmp_path / "series", series())
     files = [("a.nrrd", data), *((one.name, one.read_bytes()) for one in dicom.iterdir())]
     path = pack(tmp_path / "both.zip", files)
-    assert "DICOM" in refused(path).what and np.array_equal(read_volume(path, "3").values, NUMBERS)
+    assert "7 files" in refused(path).what and np.array_equal(read_volume(path, "3").values, NUMBERS)
 
 
 @pytest.mark.parametrize("name", ["../x.dcm", "/etc/x.dcm", "a/../../x.dcm", "C:\\x.dcm", "a\x1b.dcm"])
@@ -112,7 +105,7 @@ def test_damaged_encrypted_and_bloated_archives_are_refused(tmp_path, monkeypatc
     files = [("a.dcm", bytes(1000))]
     assert "BadZipFile" in refused(damaged(pack(tmp_path / "a.zip", files), lambda data: data.clear())).what
     assert "encrypted" in refused(damaged(pack(tmp_path / "b.zip", files), encrypt)).what
-    assert "empty" in refused(pack(tmp_path / "e.zip", [])).what
+    assert "no series" in refused(pack(tmp_path / "e.zip", [])).what
     bomb = pack(tmp_path / "a.zip", [(f"{n}.dcm", bytes(2**20)) for n in range(3)])
     assert "unpacks" not in refused(bomb).what
     monkeypatch.setenv("NEEDLEFIT_READ_GIB", "0.002")

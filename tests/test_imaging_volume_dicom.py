@@ -62,15 +62,14 @@ def test_positions_orientation_and_rescaling_of_slices(tmp_path):
 
 
 def test_padding_gets_the_least_measured_value(tmp_path):
-    padded, slices = [-2000, -1995, -1990], []
-    entries = {"PixelPaddingValue": -2000, "PixelPaddingRangeLimit": -1990}
+    slices = []
     for k in range(COUNT):
         plane = NUMBERS[k] + 100
-        plane[0, : len(padded)] = padded
-        slices.append(a_slice(k, plane, RescaleSlope="0.1", RescaleIntercept=-7, **entries))
+        plane[0, :3] = -2000
+        slices.append(a_slice(k, plane, RescaleSlope="0.1", RescaleIntercept=-7, PixelPaddingValue=-2000))
     values = read_volume(save(tmp_path, slices)).values
-    least = np.float32(0.1 * (100 + len(padded)) - 7)
-    assert (values[:, 0, : len(padded)] == least).all() and values.min() == least
+    least = np.float32(0.1 * 103 - 7)
+    assert (values[:, 0, :3] == least).all() and values.min() == least
 
 
 def test_padding_of_voxels_with_a_sign_may_be_written_without(tmp_path):
@@ -120,27 +119,26 @@ def test_two_series_are_not_guessed(tmp_path):
 
 
 def test_folders_without_a_series(tmp_path):
-    assert "empty folder" in refused(tmp_path).what
+    assert "no series" in refused(tmp_path).what
     (tmp_path / "inside").mkdir()
     (tmp_path / "notes.txt").write_text("scan")
     fault = refused(tmp_path)
-    assert "inside/, notes.txt" in fault.what and "folder" in fault.fix
+    assert "no series" in fault.what and "folder" in fault.fix
     assert "no such file" in refused(tmp_path / "elsewhere").what
     assert "not a volume" in refused(tmp_path / "notes.txt").what
 
 
-def test_localizers_and_copies_are_left_out_and_named(tmp_path):
+def test_localizers_are_left_out_and_copies_refused(tmp_path):
     volume = read_volume(save(tmp_path / "a", [*series(), a_slice(0, **OVERVIEW)]))
     assert np.array_equal(volume.values, NUMBERS) and len(volume.warnings) == 1
     alone = [a_slice(k, SeriesInstanceUID=generate_uid(), **OVERVIEW) for k in range(2)]
     assert "2 series" in refused(save(tmp_path / "d", alone)).what
-    volume = read_volume(save(tmp_path / "b", [*series(), *series()]))
-    assert np.array_equal(volume.values, NUMBERS) and f"{COUNT} copies" in volume.warnings[0]
+    assert "6 of 11 steps" in refused(save(tmp_path / "b", [*series(), *series()])).what
 
 
 def test_several_acquisitions_at_one_place_are_refused_and_successive_ones_are_one_stack(tmp_path):
     second = [a_slice(k, NUMBERS[k] + 7, AcquisitionNumber=5) for k in range(COUNT)]
-    assert "6 of 12" in refused(save(tmp_path / "a", [*series(AcquisitionNumber=4), *second])).what
+    assert "6 of 11 steps" in refused(save(tmp_path / "a", [*series(AcquisitionNumber=4), *second])).what
     single = [a_slice(k, AcquisitionNumber=k) for k in range(COUNT)]
     assert np.array_equal(read_volume(save(tmp_path / "b", single)).values, NUMBERS)
 
@@ -169,14 +167,13 @@ def test_rounded_headers_of_an_oblique_stack_are_read(tmp_path):
     assert np.linalg.norm(to_patient(volume, corners) - true, axis=1).max() < allowed
 
 
-def test_what_is_not_of_the_series_is_set_aside(tmp_path):
+def test_a_series_without_its_uid_is_read_and_one_with_a_damaged_file_is_not(tmp_path):
     save(tmp_path, series(SeriesInstanceUID=None))
     assert np.array_equal(read_volume(tmp_path).values, NUMBERS)
     for name, content in (("empty.dcm", b""), ("text.dcm", b"scan" * 99)):
         (tmp_path / name).write_bytes(content)
-        for found in (read_volume(tmp_path), read_volume(tmp_path, "3"), read_volume(tmp_path / "001.dcm")):
-            assert np.array_equal(found.values, NUMBERS) and len(found.warnings) == 1
-            assert name in found.warnings[0]
+        assert refused(tmp_path).where.endswith(name)
+        (tmp_path / name).unlink()
 
 
 # What is refused
@@ -197,16 +194,16 @@ PADDED = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) 
     ("slices", "what", "where", "fix"),
     [
         (PADDED, "nothing but padding", "", ""),
-        ([*series()[:2], *series()[4:]], "2 slice(s) missing between 001.dcm and 002.dcm", "", ""),
+        ([*series()[:2], *series()[4:]], "002.dcm stands 2.7 mm behind 001.dcm", "002.dcm", ""),
         (
             [*series(), a_slice(2, NUMBERS[2] + 1, SOPInstanceUID=generate_uid())],
-            "the same place as 002.dcm",
+            "006.dcm stands 0 mm behind 002.dcm",
             "006.dcm",
             "",
         ),
         (series(**OVERVIEW), "is a localizer", "000.dcm", "series"),
         (turned_slices(np.radians(40.0), [0, 0, 5]), "not perpendicular", "", "resample"),
-        (spoilt(2, ImagePositionPatient=[-9.0, 20.0, 31.8]), " mm from its place", "002.dcm", ""),
+        (spoilt(2, ImagePositionPatient=[-9.0, 20.0, 31.8]), "0 of 5 steps", "002.dcm", ""),
         (
             spoilt(4, ImageOrientationPatient=[1, 0, 0, 0, 0.9998, 0.02]),
             "ImageOrientationPatient is",
@@ -216,14 +213,14 @@ PADDED = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) 
         (spoilt(4, FrameOfReferenceUID=generate_uid()), "FrameOfReferenceUID", "004.dcm", ""),
         (series()[:1], "holds one slice", "", ""),
         # enhanced CT keeps its positions inside; it is named for what it is, not for what it lacks
-        ([a_slice(0, NumberOfFrames=9, ImagePositionPatient=None)], "9 frames", "", "NRRD"),
+        ([a_slice(0, NumberOfFrames=9, ImagePositionPatient=None)], "NumberOfFrames is 9", "", "NRRD"),
         (undecoded(HTJ2KLossless), HTJ2KLossless.name, "", "uncompressed"),
         *(
             (spoilt(4, **entries), words, "004.dcm", "")
             for entries, words in (
                 ({"ImagePositionPatient": None}, "has no ImagePositionPatient"),
                 ({"PhotometricInterpretation": "MONOCHROME1"}, "MONOCHROME1"),
-                ({"Modality": "MR"}, "is no CT: its Modality is MR"),
+                ({"Modality": "MR"}, "Modality is MR"),
             )
         ),
     ],

@@ -26,9 +26,7 @@ from needlefit.imaging.volume import (
     MAX_LISTED,
     SPACINGS_MM,
     VoxelGrid,
-    begins_as_dicom,
     check_grid,
-    is_dicomdir,
     list_series_files,
     orthogonalize,
 )
@@ -40,27 +38,35 @@ MAX_OFFSET_MM = 0.1
 MAX_LEAN = 1e-3  # of the stack, as a sine: axes are written to three decimals or better
 # Modalities whose values are attenuations; converters leave the entry out, or write OT (other).
 XRAY_MODALITIES = ("", "CT", "XA", "RF", "DX", "PX", "IO", "OT")
-# What RescaleType says of values in HU; US is "unspecified", as cone-beam scanners write.
-HU_UNITS = ("", "HU", "HU_MOD", "US")
+# What these entries may be; "" where there is none.
+PLAIN_ENTRIES = {
+    "NumberOfFrames": ("", "1"),
+    "SamplesPerPixel": ("", "1"),
+    "PhotometricInterpretation": ("", "MONOCHROME2"),
+    "ModalityLUTSequence": ("",),
+    "Modality": XRAY_MODALITIES,
+    # US is "unspecified", as cone-beam scanners write.
+    "RescaleType": ("", "HU", "HU_MOD", "US"),
+}
 UNSPECIFIED_UNIT = (
     "the scan's headers call the unit of its values unspecified (RescaleType US): thresholds and the edge of "
     "the tissue are right only if air is -1000 and water 0"
 )
-EXPORT_FIX = "export the series from the scanner or the archive again, as original axial slices in HU"
-CONVERT_FIX = "load it in 3D Slicer, and save the volume as NRRD, in HU: air -1000, water 0"
+EXPORT_FIX = (
+    "export the series from the scanner again, as original axial slices in HU; or load it in 3D Slicer, and "
+    "save the volume as NRRD, in HU (air -1000, water 0); a micro-CT scans air and water for this"
+)
 ELEMENT_HEADER_BYTES = (12, 8)  # of the voxels' entry, where types are stated and where not
 SLICE_BYTES_PER_PIXEL = 32  # a slice stands in memory packed, unpacked, and in double precision
-PLACE = ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing")  # what a slice must state
 SUFFIXES = (".dcm", ".ima", ".dicom")
-NUMBERS = {  # entries that are numbers, and of how many
+NEEDED_NUMBERS = {  # entries that are numbers, and of how many
     "ImagePositionPatient": 3,
     "ImageOrientationPatient": 6,
     "PixelSpacing": 2,
     "RescaleSlope": 1,
     "RescaleIntercept": 1,
-    "PixelPaddingValue": 1,
-    "PixelPaddingRangeLimit": 1,
 }
+NUMBERS = {**NEEDED_NUMBERS, "PixelPaddingValue": 1}
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 
 
@@ -92,14 +98,12 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
     """Read the one series that `path` refers to: add "values" and "grid" to the arrays; return warnings.
 
     Values are rescaled slice by slice; voxels that were not measured (padding) get the least value that
-    was, so that no threshold and no edge finds them. Localizers and copies of slices are left out.
+    was, so that no threshold and no edge finds them. Localizers are left out.
 
     DataError if the series is not one sound stack, or a voxel cannot be read.
     """
-    notes: list[str] = []
-    slices, grid = stack_slices(_leave_out_copies(find_series(Path(path), series, notes), notes))
-    if any(item.text("RescaleType").upper() == "US" for item in slices):
-        notes.append(UNSPECIFIED_UNIT)
+    images = find_series(Path(path), series)
+    slices, grid = stack_slices([item for item in images if not item.is_localizer] or images)
     allow_memory(grid.size[0] * grid.size[1] * SLICE_BYTES_PER_PIXEL + 4 * math.prod(grid.size))
     values = arrays["values"] = np.empty(grid.size[::-1], np.float32)
     arrays |= grid.placing
@@ -115,7 +119,9 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
         )
     for plane in values:
         plane[np.isnan(plane)] = least
-    return notes
+    localizers = len(images) - len(slices)
+    notes = [f"{localizers} localizer(s) were left out"] * (localizers > 0)
+    return notes + [UNSPECIFIED_UNIT] * any(item.text("RescaleType").upper() == "US" for item in slices)
 
 
 def read_header(file: Path) -> DicomSlice | None:
@@ -167,49 +173,30 @@ def _damaged(file: Path, packed: str = "") -> DataError:
     )
 
 
-def find_series(path: Path, series: str | None, notes: list[str]) -> list[DicomSlice]:
-    """Return the slices of the one series that `path` refers to, in no order; note files that were set aside.
+def find_series(path: Path, series: str | None) -> list[DicomSlice]:
+    """Return the slices of the one series that `path` refers to, in no order.
 
-    `path`: a folder with its subfolders, its DICOMDIR, or one file of a series.
+    `path`: a folder with its subfolders, or one file of a series.
     `series`: number or UID of the series, where a folder holds several.
 
     DataError if there is no DICOM image there, no series of the name, or several to choose from; also if a
-    file that begins as DICOM is damaged, and no series was chosen.
+    DICOM file is damaged.
     """
-    path = path.parent if is_dicomdir(path) else path
     named = read_header(path) if is_file(path) else None
     if is_file(path) and named is None:
         raise DataError(
             "is not a volume that can be read",
             expected="a DICOM image, or a file that ends in .nrrd, .nii, .nii.gz or .mha; values in HU",
             fix="name the scan's folder, or export it so; structure sets (RTSTRUCT) are read by `needlefit "
-            "import`; of pictures (a micro-CT's TIFF): " + CONVERT_FIX,
+            "import`; pictures (a micro-CT's TIFF) 3D Slicer saves as NRRD, in HU",
             where=path,
         )
     groups: dict[str, list[DicomSlice]] = {}
-    damaged: list[str] = []
-    for file in list_series_files(path):
-        try:
-            if (item := read_header(file)) is not None:
-                groups.setdefault(item.series, []).append(item)
-        except DataError:
-            if begins_as_dicom(file) and named is None and series is None:
-                raise
-            damaged.append(file.name)
-    if damaged:
-        listed = ", ".join(damaged[:MAX_LISTED])
-        notes.append(f"{len(damaged)} damaged file(s) beside the series were left out: {listed}")
+    for item in map(read_header, list_series_files(path)):
+        if item is not None:
+            groups.setdefault(item.series, []).append(item)
     if named is not None:
         return groups[named.series]
-    if not groups:
-        inside = sorted(entry.name + "/" * entry.is_dir() for entry in path.iterdir())
-        shown = ", ".join(inside[:MAX_LISTED]) + ", ..." * (len(inside) > MAX_LISTED)
-        raise DataError(
-            f"holds no DICOM image; there is {shown}" if inside else "is an empty folder",
-            expected="the files of a DICOM series, in the folder or below it",
-            fix="name the folder in which the slices lie, or the .nrrd or .nii.gz file itself",
-            where=path,
-        )
     if series is not None:
         meant = series.strip()
         chosen = [group for uid, group in groups.items() if meant in (uid, group[0].text("SeriesNumber"))]
@@ -220,11 +207,12 @@ def find_series(path: Path, series: str | None, notes: list[str]) -> list[DicomS
     if len(chosen) == 1:
         return chosen[0]
     listed = "; ".join(_describe(group, path) for group in [*(chosen or groups.values())][:MAX_LISTED])
+    called = f" {series}" if series else ""
     raise DataError(
-        f"holds {len(chosen) or 'no'} series{f' {series}' if series else ''}: {listed}",
-        expected="one series, or the name of the one that is meant",
-        fix="give the number or the UID of the one that is meant with --series, or under `series` in a table "
-        "of scans",
+        f"holds {len(chosen) or 'no'} series{called} of DICOM images{listed and f': {listed}'}",
+        expected="one series, in the folder or below it, or the name of the one that is meant",
+        fix="name the folder in which the slices lie, or the .nrrd or .nii.gz file itself; of several series "
+        "give the number or the UID with --series, or under `series` in a table of scans",
         where=path,
     )
 
@@ -244,16 +232,6 @@ def _describe(slices: Sequence[DicomSlice], path: Path) -> str:
     return f"{called} ({kind}), UID {item.series}"
 
 
-def _leave_out_copies(slices: list[DicomSlice], notes: list[str]) -> list[DicomSlice]:
-    """Return the slices without copies and localizers, of which a note is made."""
-    unique = [*{item.text("SOPInstanceUID") or str(item.file): item for item in slices}.values()]
-    kept = [item for item in unique if not item.is_localizer] or unique
-    for left, kind in ((len(slices) - len(unique), "copies"), (len(unique) - len(kept), "localizers")):
-        if left:
-            notes.append(f"{left} {kind} of slices were left out")
-    return kept
-
-
 def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelGrid]:
     """Return the slices in the order of their positions, and the grid of their voxels.
 
@@ -264,9 +242,9 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
     """
     first = slices[0]
     for item in slices:
-        for problem, fix in _list_faults(item, first):
+        for problem in _list_faults(item, first):
             expected = "plain slices of one CT volume in HU, with their places in the patient"
-            raise DataError(problem, expected=expected, fix=fix, where=item.file)
+            raise DataError(problem, expected=expected, fix=EXPORT_FIX, where=item.file)
     with located(first.file.parent):
         if len(slices) < 2:
             raise DataError(
@@ -297,46 +275,27 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
     return ordered, grid
 
 
-def _list_faults(item: DicomSlice, first: DicomSlice) -> Iterator[tuple[str, str]]:
-    """Yield what is wrong with one slice of a stack, also against the `first` one, and the fix."""
-    frames, samples = item.data.get("NumberOfFrames") or 1, item.data.get("SamplesPerPixel", 1)
-    modality, unit = item.text("Modality").upper(), item.text("RescaleType").upper()
-    shown, number = item.text("PhotometricInterpretation").upper(), item.number
-    table = "ModalityLUTSequence" in item.data
-    if frames > 1:
-        yield f"holds {frames} frames", CONVERT_FIX
+def _list_faults(item: DicomSlice, first: DicomSlice) -> Iterator[str]:
+    """Yield what is wrong with one slice of a stack, also against the `first` one."""
+    number = item.number
+    for name, allowed in PLAIN_ENTRIES.items():
+        if (text := item.text(name).upper()) not in allowed:
+            yield f"its {name} is {text[:40]}"
     if item.is_localizer:
-        yield (
-            "is a localizer (scout, topogram), no slice",
-            "name the folder with the slices, or export its series",
-        )
-    if modality not in XRAY_MODALITIES:
-        yield f"is no CT: its Modality is {modality}", "give the CT; if its header is wrong: " + CONVERT_FIX
-    if missing := [name for name in PLACE if name not in number]:
-        yield f"has no {', '.join(missing)}", EXPORT_FIX
+        yield "is a localizer (scout, topogram), no slice"
+    if missing := [name for name in NEEDED_NUMBERS if name not in number]:
+        yield f"has no {', '.join(missing)}"
     axes = number["ImageOrientationPatient"].reshape(2, 3)
     if not (np.abs(axes @ axes.T - np.eye(2)) <= 2 * MAX_LEAN).all():
-        yield (
-            f"ImageOrientationPatient is {axes.round(4).tolist()}, no two perpendicular unit vectors",
-            EXPORT_FIX,
-        )
-    if samples != 1 or table or shown == "MONOCHROME1":
-        problem = f"SamplesPerPixel {samples}, PhotometricInterpretation {shown}"
-        yield f"its voxels are no plain attenuations: {problem}{', ModalityLUTSequence' * table}", EXPORT_FIX
-    if not {"RescaleSlope", "RescaleIntercept"} <= number.keys() or number["RescaleSlope"] == 0:
-        yield "has no RescaleSlope, RescaleIntercept, or 0: its values are no HU", CONVERT_FIX
-    if unit not in HU_UNITS:
-        yield (
-            f"RescaleType is {unit}: its values are no HU",
-            "export it in HU, linear between air (-1000) and water (0), of which a micro-CT scans both. Or: "
-            + CONVERT_FIX,
-        )
-    for name in ("Rows", "Columns", "PixelSpacing", "ImageOrientationPatient", "FrameOfReferenceUID"):
-        here, there = item.data.get(name), first.data.get(name)
-        alike = np.allclose(number[name], first.number[name], 0, MAX_LEAN) if name in PLACE else here == there
-        if not alike:
-            fix = f"move the slices of another scan to a folder of their own, or {EXPORT_FIX}"
-            yield f"its {name} is {here}, that of {first.file.name} is {there}", fix
+        yield f"ImageOrientationPatient is {axes.round(4).tolist()}, no two perpendicular unit vectors"
+    if number["RescaleSlope"] == 0:
+        yield "its RescaleSlope is 0"
+    for name in ("Rows", "Columns", "FrameOfReferenceUID"):
+        if (here := item.text(name)) != (there := first.text(name)):
+            yield f"its {name} is {here}, that of {first.file.name} is {there}"
+    for name in ("PixelSpacing", "ImageOrientationPatient"):
+        if not np.allclose(number[name], first.number[name], 0, MAX_LEAN):
+            yield f"its {name} is {number[name]}, that of {first.file.name} is {first.number[name]}"
 
 
 def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats) -> tuple[Floats, Floats]:
@@ -345,38 +304,22 @@ def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats)
     By least squares: rounding of single positions must not add up over the stack. `positions` (K, 3) are in
     their order along the `normal`.
     """
-    steps = np.diff(positions @ normal)
-    doubled = np.flatnonzero(steps < SPACINGS_MM[0])
-    for n in doubled.tolist():
-        raise DataError(
-            f"stands at the same place as {ordered[n].file.name}, with other voxels, as {len(doubled)} of "
-            f"{len(ordered)} slices do: the series holds several scans",
-            expected="one slice at each place",
-            fix="export one scan (phase, time, kernel), or move the slices of each to its own folder",
-            where=ordered[n + 1].file,
-        )
-    usual = float(np.median(steps))
-    missing = np.rint(steps / usual).astype(int) - 1
-    for n in np.flatnonzero(missing > 0).tolist():
-        before, after = ordered[n].file, ordered[n + 1].file
-        raise DataError(
-            f"{missing[n]} slice(s) missing between {before.name} and {after.name}: a step of "
-            f"{steps[n]:.4g} mm where others are {usual:.4g} mm",
-            expected="a stack without gaps",
-            fix="copy the missing files; a series with two spacings must be resampled to one",
-            where=before.parent,
-        )
-    count = np.arange(len(ordered))
+    steps, count = np.diff(positions @ normal), np.arange(len(ordered))
+    usual = float(np.quantile(steps, 0.75))  # of several slices at each place most steps are 0
     step, origin = np.polyfit(count, positions, 1)
     away = np.linalg.norm(origin + np.outer(count, step) - positions, axis=1)
-    if away.max() > MAX_OFFSET_MM:
+    odd = np.flatnonzero((steps < SPACINGS_MM[0]) | (steps > 1.5 * usual))
+    if len(odd) or away.max() > MAX_OFFSET_MM:
+        n = int(odd[0]) if len(odd) else max(int(away.argmax()), 1) - 1
         raise DataError(
-            f"stands {away.max():.3g} mm from its place in an even stack of {np.linalg.norm(step):.4g} mm "
-            "steps, as other slices may",
-            expected=f"even steps, to {MAX_OFFSET_MM:g} mm; slices straight above each other, or all leaning "
-            "alike",
-            fix=f"{EXPORT_FIX}; or resample it to even steps, e.g. in 3D Slicer, and save it as NRRD",
-            where=ordered[int(away.argmax())].file,
+            f"{ordered[n + 1].file.name} stands {steps[n]:.4g} mm behind {ordered[n].file.name}, where "
+            f"{usual:.4g} mm are usual; {len(odd)} of {len(steps)} steps are of other lengths, and slices "
+            f"stand up to {away.max():.3g} mm from their places",
+            expected=f"an even stack, to {MAX_OFFSET_MM:g} mm, one slice at each place, straight above each "
+            "other or all leaning alike",
+            fix="copy missing files; move copies and other scans (phases, kernels) to other folders; "
+            f"{EXPORT_FIX}",
+            where=ordered[n + 1].file,
         )
     return origin, step
 
@@ -392,11 +335,7 @@ def _read_plane(item: DicomSlice) -> NDArray[np.float64]:
         syntax = UID(str(item.data.file_meta.get("TransferSyntaxUID") or ""))
         raise _damaged(item.file, f"; its voxels are packed as {syntax.name}") from error
     if (low := item.number.get("PixelPaddingValue")) is not None:
-        ends = np.append(low, item.number.get("PixelPaddingRangeLimit", low))
-        if item.data.get("PixelRepresentation") == 1:  # some scanners write -2000 as 63536
-            bits = int(item.data.get("BitsAllocated", 16))
-            ends = np.where(ends >= 2.0 ** (bits - 1), ends - 2.0**bits, ends)
-        # padding is given in stored values, before the rescaling; 0.5 allows for rounding
-        stored = (plane - item.number["RescaleIntercept"]) / item.number["RescaleSlope"]
-        plane[(stored > ends.min() - 0.5) & (stored < ends.max() + 0.5)] = np.nan
+        # padding is given in stored values, before the rescaling; some scanners write -2000 as 63536
+        stored = np.rint((plane - item.number["RescaleIntercept"]) / item.number["RescaleSlope"])
+        plane[(stored - low) % 2**16 == 0] = np.nan
     return plane

@@ -22,9 +22,8 @@ from needlefit.imaging.volume import READABLE_VOLUMES, VoxelGrid, check_grid, fi
 from needlefit.project.reader_process import Arrays, allow_memory
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
-MILLIMETRES = {"meter": 1e3, "mm": 1.0, "micron": 1e-3}  # one unit of a NIfTI header in mm
 # What reads a file's voxels (K, J, I), its grid, the bytes of a voxel, and texts of its header by their keys.
-Image = tuple[Callable[[], NDArray[np.float32]], VoxelGrid, int, dict[str, str]]
+Image = tuple[Callable[[], NDArray[Any]], VoxelGrid, int, dict[str, str]]
 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 
@@ -80,7 +79,7 @@ def _open_nifti(file: Path) -> Image:
             expected="a NIfTI header with a qform or an sform",
             fix="convert the scan from its DICOM series again",
         )
-    affine = RAS_TO_LPS.rotation @ image.affine[:3] * MILLIMETRES.get(header.get_xyzt_units()[0], 1.0)
+    affine = RAS_TO_LPS.rotation @ image.affine[:3]
     columns, rows, slices = shape
     spacing = np.linalg.norm(affine[:, :3], axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):  # what this leaves `check_grid` refuses
@@ -117,10 +116,11 @@ def _open_itk(file: Path) -> Image:
     origin, spacing, direction = map(np.array, given)
     grid = VoxelGrid((columns, rows, slices), origin, spacing, direction.reshape(3, 3))
 
-    def read() -> NDArray[np.float32]:
-        image = reader.Execute()  # a view does not keep its image
-        # SimpleITK's arrays are indexed k, j, i: the reverse of its sizes
-        return sitk.GetArrayViewFromImage(image).astype(np.float32)
+    def read() -> NDArray[Any]:
+        # indexed k, j, i, the reverse of the image's sizes; whole numbers become floats after the process has
+        # ended, which spares a third copy
+        values = sitk.GetArrayFromImage(reader.Execute())
+        return values.astype(np.float32) if values.itemsize == 8 else values
 
     segments = {key: text for key, text in texts.items() if key.startswith("Segment")}
     return read, grid, int(kind[1]) // 8 if kind else 0, segments

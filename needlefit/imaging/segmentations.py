@@ -46,7 +46,7 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
     DataError if it is not a volume, its segments overlap, one is empty or missing, or its values are no
     labels.
     """
-    with open_member(path) as (place, _), located(place):
+    with open_member(path) as place, located(place):
         if not is_image_file(place):
             raise DataError("is no label map", expected=EXPECTED_LABELS, fix=SAVE_FIX)
         volume, texts = read_labels_file(place)

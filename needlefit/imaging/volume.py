@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -94,7 +95,7 @@ def is_tilted(direction: Floats) -> bool:
     return bool((np.abs(direction[:, :2].T @ direction[:, 2]) > AXES_COSINE_TOLERANCE).any())
 
 
-def fill_unknown(values: NDArray[np.float32], notes: list[str], *, labels: bool) -> None:
+def fill_unknown(values: NDArray[Any], notes: list[str], *, labels: bool) -> None:
     """Give voxels without a value (NaN) that of air, or of `labels` 0; note how many they were.
 
     DataError if no voxel has a value, or one is infinite.
@@ -163,19 +164,11 @@ READABLE_VOLUMES = (
 )
 
 
-def is_dicomdir(path: Path) -> bool:
-    """Return whether a path is the directory of a DICOM export, which lies beside its files."""
-    return path.name.upper() == "DICOMDIR" and is_file(path)
-
-
 def list_series_files(path: Path) -> list[Path]:
-    """Return the files among which the series of a path is looked for, sorted.
-
-    Those are all in and below a folder or that of a DICOMDIR; for one file, those beside it.
-    """
-    if is_file(path) and not is_dicomdir(path):
-        return sorted(one for one in path.parent.iterdir() if is_file(one) and one.name[0] != ".")
-    return list_files(path if is_dir(path) else path.parent)
+    """Return the files that may be of a series, sorted: all in and below a folder, or those beside a file."""
+    if is_dir(path):
+        return list_files(path)
+    return sorted(file for file in path.parent.iterdir() if is_file(file) and file.name[0] != ".")
 
 
 def begins_as_dicom(path: Path) -> bool:

@@ -9,6 +9,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.volume import (
     ARCHIVE_SUFFIX,
@@ -31,10 +33,9 @@ READ_SECONDS = 600.0  # of the processor, within which a file must be read: a da
 def read_volume(path: Path, series: str | None = None) -> Volume:
     """Read the volume in a file or folder; its geometry is checked first.
 
-    `path`: a folder with a DICOM series in it or below, its DICOMDIR, one file of the series,
-    an NRRD, NIfTI or MetaImage file, or a .zip of any of these.
-    `series`: number or UID of the DICOM series, where a folder holds several; a file's name, where a .zip
-    does.
+    `path`: a folder with a DICOM series in it or below, one file of the series, an NRRD, NIfTI or MetaImage
+    file, or a .zip of any of these.
+    `series`: number or UID of the DICOM series, where a folder holds several.
 
     DataError if there is no such volume, or its geometry cannot be trusted; nothing is guessed. ConfigError
     if the packages that read scans are not installed.
@@ -43,7 +44,7 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
     if not path_exists(path):
         problem = "there is no such file or folder"
         raise DataError(problem, expected=READABLE_VOLUMES, fix="check the path", where=path)
-    with explain_missing_packages(*CT_PACKAGES), open_member(path, series) as (place, series):
+    with explain_missing_packages(*CT_PACKAGES), open_member(path, series) as place:
         if is_image_file(place):
             if series:
                 fix = "leave out series"
@@ -64,14 +65,14 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
 
 
 @contextmanager
-def open_member(path: Path, series: str | None = None) -> Iterator[tuple[Path, str | None]]:
-    """Yield a path and a series; of a .zip the one image file in it, or a folder with its DICOM files.
+def open_member(path: Path, series: str | None = None) -> Iterator[Path]:
+    """Yield a path; of a .zip the one image file in it, or a folder with its DICOM files.
 
     Errors then name the archive. DataError if it is damaged, encrypted or too large, or holds another, or
     several scans.
     """
     if path.is_dir() or not path.name.lower().endswith(ARCHIVE_SUFFIX):
-        yield path, series
+        yield path
         return
     with TemporaryDirectory(prefix="needlefit-scan-") as name:
         arguments = {"path": str(path), "folder": name, "total_bytes": 4 * max_voxels()}
@@ -111,26 +112,21 @@ def unpack_scan(_arrays: Arrays, path: str, folder: str, total_bytes: int) -> No
         archive.extractall(folder)
 
 
-def _choose_member(folder: Path, series: str | None) -> tuple[Path, str | None]:
-    """Return what is meant in an unpacked archive: an image file, or the folder and a series in it."""
+def _choose_member(folder: Path, series: str | None) -> Path:
+    """Return what is meant in an unpacked archive: an image file, or the folder of a DICOM series."""
     files = list_files(folder)
-    images = {str(file.relative_to(folder)): file for file in files if is_image_file(file)}
-    if series is not None:
-        meant = [image for name, image in images.items() if series in (name, image.name)]
-        return (meant[0], None) if len(meant) == 1 else (folder, series)
-    if not images:
-        return folder, series
-    with_dicom = any(begins_as_dicom(file) for file in files)
-    if len(images) > 1 or with_dicom:
-        listed = ", ".join([*images][:MAX_LISTED]) + ", ..." * (len(images) > MAX_LISTED)
+    images = [file for file in files if is_image_file(file)]
+    if series is not None or not images:
+        return folder
+    if len(images) > 1 or any(map(begins_as_dicom, files)):
+        names = ", ".join(str(file.relative_to(folder)) for file in files[:MAX_LISTED])
         raise DataError(
-            f"holds {len(images)} image files{' beside DICOM' * with_dicom}: {listed}",
-            expected="one scan, or the name of the one that is meant",
-            fix="give its name in the archive, or the number of a DICOM series, with --series or under "
-            "`series` in a table of scans",
+            f"holds {len(files)} files: {names}",
+            expected="one image file, or DICOM files alone",
+            fix="unpack it and name the scan's file or folder; of DICOM give the series with --series",
             where=folder,
         )
-    return next(iter(images.values())), None
+    return images[0]
 
 
 def read_labels_file(path: Path) -> tuple[Volume, dict[str, str]]:
@@ -153,6 +149,7 @@ def _read_image(path: Path, labels: bool) -> tuple[Volume, dict[str, str]]:
     arguments = {"path": str(path), "stored": stored, "labels": labels}
     reader = "needlefit.imaging.image_files:read_image"
     header, arrays = read_in_process(reader, path, arguments, seconds=READ_SECONDS)
+    arrays["values"] = arrays["values"].astype(np.float32, copy=False)
     return Volume(**arrays, warnings=tuple(header["warnings"])), header["texts"]
 
 
