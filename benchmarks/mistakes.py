@@ -46,11 +46,10 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.schemas.run_metadata import DoubtMetadata
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.advice import list_contradictions
+from needlefit.studies.first_page import list_contradictions
 from needlefit.studies.fit_warnings import warn_of_doubts
 from needlefit.studies.job import Settings
-from needlefit.studies.load import load_study
-from needlefit.studies.odd_needles import find_odd_needles
+from needlefit.studies.load import find_odd_needles, load_study
 
 NEEDLE = Needle.from_tube(150.0, 0.908, 60e3)
 MU_MPA, TOPS_MM, BEVEL_MM, SPACING_MM = (1.5, 0.044), (20.0,), 0.08, 5.0

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from needlefit.studies.fit_frames import PREDICTION_METHOD
 from needlefit.studies.judge import REFERENCES, compare_with_references
+from needlefit.studies.run import PREDICTION_METHOD
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "README.md"

@@ -64,8 +64,7 @@ from needlefit.studies.load import load_study
 from needlefit.studies.run import Run
 from needlefit.studies.score import make_predictors, make_scorer
 from needlefit.studies.store import restore_run
-from needlefit.studies.stored_fit import reopen_fit
-from needlefit.studies.study_files import check_study, load_study_file, load_target
+from needlefit.studies.study_files import check_study, load_study_file, load_target, reopen_fit
 
 Name = str | Path
 Table = Mapping[str, Any]

@@ -17,12 +17,12 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import DatasetMetadata, FitMetadata
 from needlefit.schemas.study import StudyRecord
+from needlefit.studies.fit_warnings import tabulate_validity
 from needlefit.studies.kinds.cross_validation import report
 from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.kinds.cross_validation.run import find_faults
 from needlefit.studies.run import Run
 from needlefit.studies.score import FAILED
-from needlefit.studies.validity import tabulate_validity
 
 DEFLECTION = {("phantom2", 4): 4.3, ("phantom2", 3): 3.4, ("phantom2", 2): 0.9, ("phantom2", 1): 0.4}
 MISS = {  # method -> error of the tip as a share of the deflection, plus a shift in mm

@@ -13,11 +13,11 @@ from world import COMMANDS
 from needlefit.cli.execution import show_run
 from needlefit.reporting.document import compile_html
 from needlefit.reporting.figures import style
-from needlefit.studies.answer import FaultKind, RunFault
-from needlefit.studies.combined_report import compose_overview
+from needlefit.studies.first_page import FaultKind, RunFault
 from needlefit.studies.fit_tables import lay_out_matrix
 from needlefit.studies.report import (
     compose_first_page,
+    compose_overview,
     compose_run_report,
     find_report,
     run_to_json,

@@ -27,7 +27,7 @@ from needlefit.datasets.importing.tables import read_sheets
 from needlefit.datasets.read import inspect, read
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import read_toml
-from needlefit.studies.advice import CONTRADICTIONS
+from needlefit.studies.first_page import CONTRADICTIONS
 
 NEEDLES = [needle(n, 16) for n in range(3)]
 

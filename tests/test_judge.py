@@ -11,7 +11,7 @@ from pytest import approx
 from reporting_results import stereo, study, with_predictions
 
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
-from needlefit.studies.answer import Check, Outcome
+from needlefit.studies.first_page import Check, Outcome
 from needlefit.studies.judge import (
     Comparison,
     Judgement,

@@ -15,8 +15,7 @@ from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import DataError
 from needlefit.project.folders import write_manifest
 from needlefit.studies import store
-from needlefit.studies.stored_fit import read_data
-from needlefit.studies.study_files import load_target
+from needlefit.studies.study_files import load_target, read_data
 from needlefit.viewer.opening import open_target
 
 OPTIONS = "--quiet --jobs 1"

@@ -8,16 +8,16 @@ import pytest
 from scipy.interpolate import CubicSpline
 from test_datasets import record, row
 
-from needlefit.datasets.interpolated import count_independent
 from needlefit.datasets.points import find_rounding
 from needlefit.datasets.read import inspect
+from needlefit.datasets.scatter import count_independent
 from needlefit.datasets.spellings import find_spellings
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.neighbours import leave_one_out
 from needlefit.inference.likelihood.observation import StatedErrors
 from needlefit.inference.likelihood.observations.points import POINTS
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.studies.advice import classify_doubt, list_contradictions
+from needlefit.studies.first_page import classify_doubt, list_contradictions
 
 UP, POINT_SD, SHIFT_SD, ANGLE_SD_DEG = np.array([0.0, 1.0, 0.0]), 0.05, 0.05, 0.1
 SIDES = (-1, 1, -1, 1, -1, 1, -1, 1)

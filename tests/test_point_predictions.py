@@ -17,8 +17,7 @@ from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
 from needlefit.studies.job import Inputs, Settings
-from needlefit.studies.kinds.prediction.forecast import forecast, tabulate_forecast
-from needlefit.studies.kinds.prediction.scene import make_scene
+from needlefit.studies.kinds.prediction.run import forecast, make_scene, tabulate_forecast
 from needlefit.studies.load import load_study
 from needlefit.studies.observations import predict_held_out
 

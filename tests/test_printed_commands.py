@@ -15,8 +15,15 @@ from world import COMMANDS as KIND_COMMANDS
 
 from needlefit.project.help_pages import read_sections
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.studies.advice import COMMANDS, advise, classify_doubt, find_failures, list_doubts
-from needlefit.studies.answer import Check, Finding
+from needlefit.studies.first_page import (
+    COMMANDS,
+    Check,
+    Finding,
+    advise,
+    classify_doubt,
+    find_failures,
+    list_doubts,
+)
 from needlefit.studies.kinds.cross_validation import run as cross_validation
 
 PRINTED = re.compile(r"(?:cd [^\n&]+ && )?needlefit (?!warning|unexpected)[a-z]+ [^`;()\n]*[^`;()\n.: ]")

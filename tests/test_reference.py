@@ -9,7 +9,7 @@ from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES, find_file
 from needlefit.project.toml import load
 from needlefit.schemas.study import SelectionRecord, StudyRecord
 from needlefit.studies.kinds.cross_validation.run import Settings, run
-from needlefit.studies.reference import round_frame
+from needlefit.studies.report import round_frame
 from needlefit.studies.store import read_run
 
 REFERENCE = Path(__file__).parent.parent / "reports/reference"

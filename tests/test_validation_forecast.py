@@ -29,10 +29,15 @@ from needlefit.studies.identity import describe_configuration
 from needlefit.studies.job import Inputs, Settings, StatedStudy, run_study
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds.prediction import run as prediction
-from needlefit.studies.kinds.prediction.forecast import forecast, tabulate_forecast
 from needlefit.studies.kinds.prediction.report import REPORT, find_tip
-from needlefit.studies.kinds.prediction.run import draw_parameters, list_parameters
-from needlefit.studies.kinds.prediction.scene import make_scene, require_fitted_kind
+from needlefit.studies.kinds.prediction.run import (
+    draw_parameters,
+    forecast,
+    list_parameters,
+    make_scene,
+    require_fitted_kind,
+    tabulate_forecast,
+)
 from needlefit.studies.load import load_study
 
 SCENE = needlefit.open_scene("study2")

@@ -24,10 +24,10 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.problem import find_outside_validity
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.study import StudyRecord
+from needlefit.studies.fit_warnings import list_outside, tabulate_validity
 from needlefit.studies.kinds.cross_validation import run as cross_validation_run
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.score import Scorer, curve_predictor, make_predictors, model_predictor
-from needlefit.studies.validity import list_outside, tabulate_validity
 
 MEDIUM = (PROJECT / "configs/media/gel.toml").read_text()
 RECIPE = """schema = 1

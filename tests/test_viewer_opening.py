@@ -20,9 +20,9 @@ from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.project.locate import find_file
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.fit_frames import TUNED_SPECIMENS
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.cross_validation.run import run
+from needlefit.studies.run import TUNED_SPECIMENS
 from needlefit.studies.store import pack, restore_run
 from needlefit.viewer.opening import open_target
 

@@ -235,7 +235,7 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
     screen.print_warnings(invocation, faults.warnings)
     if not invocation.json:
         if faults.doubts.odd:
-            from needlefit.studies.odd_needles import draw_odd_needles
+            from needlefit.studies.fit_figures import draw_odd_needles
 
             picture = draw_odd_needles(faults.doubts.odd)
             screen.print_note(f"written: {picture.save(Path(f'{path.stem}_odd_needles.pdf'), faults.origin)}")

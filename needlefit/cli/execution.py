@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from needlefit.datasets.insertion import Dataset
     from needlefit.project.tasks import TaskPool
     from needlefit.schemas.base import FileRecord
-    from needlefit.studies.answer import Advice
+    from needlefit.studies.first_page import Advice
     from needlefit.studies.job import Inputs, StatedStudy
     from needlefit.studies.run import Run
 
@@ -120,7 +120,7 @@ class Execution:
 
     def write_reference(self, runs: "Iterable[Run]") -> None:
         """Write the reference results of runs, if wanted: their tables, rounded."""
-        from needlefit.studies.reference import write_reference
+        from needlefit.studies.report import write_reference
 
         for run in runs if self.invocation.reference else ():
             screen.print_written(write_reference(run, self.folder(f"reference/{run.name}")))

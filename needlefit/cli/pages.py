@@ -20,7 +20,7 @@ from needlefit.project.folders import require_output_files, require_writable
 if TYPE_CHECKING:
     from needlefit.planning.goals import Goal, PlaneGoal
     from needlefit.planning.steering import SteeringPlan
-    from needlefit.studies.answer import RunFault
+    from needlefit.studies.first_page import RunFault
     from needlefit.viewer.viewed_scene import ViewedScene
 
 

@@ -126,8 +126,8 @@ def validate(
                 execution.prepare_result(work.name, [name_source(files[work.name])], work.record)
         runs = run_studies(execution, todo)
         if combined:
-            from needlefit.studies.combined_report import write_combined
             from needlefit.studies.fit_tables import lay_out_matrix
+            from needlefit.studies.report import write_combined
 
             write_combined(runs, execution.folder(study))
             if not execution.invocation.json:
@@ -171,8 +171,7 @@ def predict(
         from needlefit.project.locate import find_file
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
-        from needlefit.studies.kinds.prediction.run import POSTERIOR_FILE
-        from needlefit.studies.kinds.prediction.scene import describe_like_deepest, make_scene
+        from needlefit.studies.kinds.prediction.run import POSTERIOR_FILE, describe_like_deepest, make_scene
         from needlefit.studies.store import RESULTS_FILE, name_source, restore_run
         from needlefit.studies.study_files import load_target
 

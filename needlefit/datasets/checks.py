@@ -17,7 +17,6 @@ with each other only where two may be one. Whether the others predict a needle i
 from collections.abc import Callable, Iterator
 from itertools import chain
 
-from needlefit.datasets.interpolated import find_interpolated_warnings
 from needlefit.datasets.layers import Checked
 from needlefit.datasets.needle_warnings import (
     find_bevel_warnings,
@@ -37,7 +36,7 @@ from needlefit.datasets.record_warnings import (
     find_spelling_warnings,
     find_surface_warnings,
 )
-from needlefit.datasets.scatter import find_axis_warnings
+from needlefit.datasets.scatter import find_axis_warnings, find_interpolated_warnings
 from needlefit.project.result_warnings import ResultWarning
 
 Check = Callable[[Checked], Iterator[ResultWarning]]

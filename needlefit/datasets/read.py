@@ -19,7 +19,6 @@ from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, read_curve, read_table
 from needlefit.datasets.insertion import DEFAULT_MEASUREMENT, Dataset, Insertion, Noise, find_free_reach
 from needlefit.datasets.insertion_table import add_curvature, add_turns, parse_rows
-from needlefit.datasets.interpolated import mark_interpolated
 from needlefit.datasets.layers import (
     Checked,
     ListedInsertion,
@@ -43,7 +42,7 @@ from needlefit.datasets.record_warnings import (
     find_record_warnings,
     read_assumed,
 )
-from needlefit.datasets.scatter import find_scatter_warnings
+from needlefit.datasets.scatter import find_scatter_warnings, mark_interpolated
 from needlefit.datasets.sections import find_operator_faults, find_sections
 from needlefit.datasets.sources import DatasetFiles, find_checksum_faults, find_dataset_file, find_folder
 from needlefit.errors import ConfigError, DataError

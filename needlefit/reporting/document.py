@@ -20,10 +20,9 @@ import typst
 from markupsafe import Markup, escape
 
 from needlefit.reporting import needle_page
-from needlefit.reporting.fonts import open_fonts, spell
+from needlefit.reporting.fonts import compile_sheet, open_fonts, spell
 from needlefit.reporting.needle_page import PageData
 from needlefit.reporting.number_format import bind_numbers
-from needlefit.reporting.sheet import compile_sheet
 from needlefit.reporting.table import TableLayout
 
 Block = dict[str, Any]

@@ -1,29 +1,29 @@
 """The figures of fits and cross-validations as frames: insertions, errors, predictive check, draws."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import pandas as pd
 
 from needlefit.inference.ecdf_band import ecdf_band
 from needlefit.reporting import labels
-from needlefit.reporting.figures import Drawing
-from needlefit.reporting.figures.columns import (
+from needlefit.reporting.figures import (
     BAND_WHITE,
     HEIGHT_COLUMNS,
     INSERTION_KEYS,
     PROFILE_KEYS,
     TIP_ERROR,
     VERDICT_COLUMNS,
+    Drawing,
     InsertionKey,
 )
 from needlefit.reporting.number_format import format_mm
 from needlefit.reporting.table_files import Row, select_rows, to_records
+from needlefit.schemas.run_metadata import DoubtMetadata
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.judge import judge
 from needlefit.studies.prediction_scores import join_trials
-from needlefit.studies.run import Run
+from needlefit.studies.run import FitFrames, Run
 
 # ---- insertions
 
@@ -104,7 +104,7 @@ def draw_first_page(run: Run) -> Drawing:
     curves = curves.merge(chosen[INSERTION_KEYS], on=INSERTION_KEYS)
     frame = pd.concat([curves, pd.DataFrame(_list_tip_errors(run))], ignore_index=True)
     options = {"heads": _title_panels(chosen), "method": method}
-    return Drawing("first_page", frame, options)
+    return Drawing("forms.first_page", frame, options)
 
 
 def _list_tip_errors(run: Run) -> Iterator[Row]:
@@ -142,7 +142,24 @@ def draw_overlays(run: Run, *, from_above: bool = False) -> Drawing:
     curves = collect_curves(run, names, step, from_above=from_above)
     options: dict[str, object] = {"heads": titles, "names": names}
     options |= {"height": "deflection out\nof the plane (mm)"} if from_above else {}
-    return Drawing("insertions", curves, options)
+    return Drawing("forms.insertions", curves, options)
+
+
+def draw_odd_needles(odd: Sequence[DoubtMetadata]) -> Drawing:
+    """Return each of the needles beside what the others predict."""
+    heads = {("all", needle.insertion): f"{needle.sds:.2g} SD" for needle in odd}
+    columns = [*INSERTION_KEYS, "curve", "x_mm", *HEIGHT_COLUMNS]
+    rows = [
+        {"fold": "all", "insertion": needle.insertion, "curve": curve, "x_mm": x, "y_mm": y}
+        for needle in odd
+        for x, *heights in needle.points
+        for curve, y in zip(("measured", "fitted"), heights, strict=True)
+    ]
+    return Drawing(
+        "forms.insertions",
+        pd.DataFrame(rows, columns=columns),
+        {"heads": heads, "names": {"fitted": "predicted from the others"}},
+    )
 
 
 # ---- predictive check
@@ -185,7 +202,7 @@ def draw_predictive_check(run: Run) -> Drawing:
             for number, (least, most) in enumerate(zip(low.tolist(), high.tolist(), strict=True), start=1)
         ]
     counts = {"insertions": len(predictions), "replicates": trials}
-    return Drawing("predictive_check", pd.DataFrame(rows).assign(**counts))
+    return Drawing("forms.predictive_check", pd.DataFrame(rows).assign(**counts))
 
 
 # ---- profile likelihoods
@@ -194,4 +211,4 @@ def draw_predictive_check(run: Run) -> Drawing:
 def draw_profiles(identification: pd.DataFrame, computed: pd.DataFrame) -> Drawing:
     """Return a table of computed points of profiles, beside what is known of their parameters."""
     about = identification[[*PROFILE_KEYS, *VERDICT_COLUMNS]]
-    return Drawing("profiles", computed.merge(about, on=PROFILE_KEYS, how="left", sort=False))
+    return Drawing("forms.profiles", computed.merge(about, on=PROFILE_KEYS, how="left", sort=False))

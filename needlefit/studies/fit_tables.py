@@ -33,11 +33,10 @@ from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.run_metadata import FitMetadata, RigidityMetadata
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.fit_frames import NEW_SPECIMEN, TUNED_SPECIMENS, FitFrames
 from needlefit.studies.identification import FROM_PRIOR, ParameterRow, describe_prior
 from needlefit.studies.judge import MAX_NOISE_RATIO, REFERENCES, judge
 from needlefit.studies.prediction_scores import COVERAGE_COLUMNS, tabulate_coverage
-from needlefit.studies.run import Run
+from needlefit.studies.run import NEW_SPECIMEN, TUNED_SPECIMENS, FitFrames, Run
 
 #: the sentences of fits and cross-validations
 TEXT = KindText("cross_validation")

@@ -1,7 +1,7 @@
 """Warn about finished fits: one table of rules, each with its condition and the key of its text."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -22,16 +22,15 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.plausible import compute_cut_angle, list_implausible
 from needlefit.inference.point_prediction import PointPrediction
 from needlefit.mechanics.published import read_cut_angles, read_moduli
+from needlefit.mechanics.shape import LIMITS
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.reporting.text import KindText
-from needlefit.schemas.run_metadata import FitMetadata
-from needlefit.studies.fit_frames import FitFrames
-from needlefit.studies.run import Run
+from needlefit.schemas.run_metadata import CountMetadata, FitMetadata, ValidityMetadata
+from needlefit.studies.run import FitFrames, Run
 from needlefit.studies.scored_groups import find_bevel_sides
-from needlefit.studies.validity import list_outside
 
 TEXT = KindText("warnings")
 
@@ -259,3 +258,53 @@ RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
     "needle_outlier": lambda run: _describe_doubts(_read_doubts(run)),
     "units": _find_implausible,
 }
+
+
+# ---- simulations outside what the model assumes
+
+#: methods whose invalid predictions give a warning
+FITTED_METHODS = ("fitted", "fitted_metric")
+#: share of draws, or of needles predicted by them, that may be outside without a warning: their tails are
+MAX_OUTSIDE_SHARE = 0.01
+MOSTLY_OUTSIDE = 0.5  #: share of draws outside above which they determine no parameter
+
+_PREDICTED = "predictions of held-out insertions"
+
+
+def tabulate_validity(
+    folds: Sequence[Mapping[str, CountMetadata]], outside: Sequence[Row]
+) -> ValidityMetadata:
+    """Return the counts of all folds.
+
+    folds
+        By kind the simulations of each: "draws" of the posterior, of which one is outside if any of its
+        insertions is; "predicted", needles of held-out insertions, one for each draw.
+    outside
+        Each scored simulation that is outside, by its method.
+    """
+    return ValidityMetadata(
+        **{kind: add_counts(counts[kind] for counts in folds) for kind in ("draws", "predicted")},
+        limits={name: limit for name, limit, _ in LIMITS},
+        fitted_outside=sum(row["method"] in FITTED_METHODS for row in outside),
+    )
+
+
+def add_counts(counts: Iterable[CountMetadata]) -> CountMetadata:
+    """Return the sum of some counts."""
+    pairs = [(count.simulations, count.outside) for count in counts]
+    simulations, outside = (sum(numbers) for numbers in zip((0, 0), *pairs, strict=True))
+    return CountMetadata(simulations=simulations, outside=outside)
+
+
+def list_outside(validity: ValidityMetadata) -> list[str]:
+    """Return in words where fitted, drawn or predicted needles are outside the model's assumptions."""
+    fitted = validity.fitted_outside
+    counts = {"draws of the posterior": validity.draws, _PREDICTED: validity.predicted}
+    return [
+        *([f"{fitted} scored simulations of the fit"] if fitted else []),
+        *(
+            f"{count.outside} of {count.simulations} {words}"
+            for words, count in counts.items()
+            if count.outside > MAX_OUTSIDE_SHARE * count.simulations
+        ),
+    ]

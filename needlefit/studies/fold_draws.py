@@ -34,8 +34,8 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import run_parts
 from needlefit.project.toml import describe_key
 from needlefit.reporting.table_files import Row
-from needlefit.studies.fit_frames import NEW_SPECIMEN
 from needlefit.studies.job import Job, Settings
+from needlefit.studies.run import NEW_SPECIMEN
 
 PREDICTION_DRAWS = 1000  #: parameter sets of which a needle is predicted
 FIGURE_DRAWS = 400  #: parameter sets that a figure of the posterior shows

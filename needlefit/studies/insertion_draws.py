@@ -11,8 +11,7 @@ from needlefit.project.locate import unknown_name_error
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting.table_files import select_rows
 from needlefit.schemas.run_metadata import FitMetadata
-from needlefit.studies.fit_frames import NEW_SPECIMEN, TUNED_SPECIMENS
-from needlefit.studies.run import Run
+from needlefit.studies.run import NEW_SPECIMEN, TUNED_SPECIMENS, Run
 
 
 class InsertionDraws(NamedTuple):

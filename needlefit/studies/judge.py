@@ -27,9 +27,16 @@ from needlefit.inference.baselines import BASELINES
 from needlefit.metrics import METRICS
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import FitMetadata
-from needlefit.studies.advice import ASSUMED, list_contradictions, list_doubts
-from needlefit.studies.answer import Check, Finding, Outcome, Status, is_printed_as_one
-from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
+from needlefit.studies.first_page import (
+    ASSUMED,
+    Check,
+    Finding,
+    Outcome,
+    Status,
+    is_printed_as_one,
+    list_contradictions,
+    list_doubts,
+)
 from needlefit.studies.prediction_scores import (
     MAX_AIMING_WIDTH_MM,
     PREDICTED,
@@ -38,7 +45,7 @@ from needlefit.studies.prediction_scores import (
     measure_tips,
     median_width,
 )
-from needlefit.studies.run import Run, value_of_run
+from needlefit.studies.run import PREDICTION_METHOD, FitFrames, Run, value_of_run
 from needlefit.studies.scored_groups import TE, pool_insertions
 
 REFERENCES = ("straight", "constant_curvature")  #: the curves that one fit is compared with

@@ -1,17 +1,21 @@
 """Load a study or fit: files, parameters, folds; refuse, before hours of work, what cannot be fitted."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from needlefit.datasets.compared import describe_compared, find_left_planes, set_compared
-from needlefit.datasets.folds import make_folds, warn_shared_specimens
+from needlefit.datasets.folds import Fold, make_folds, warn_shared_specimens
 from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.paper import read_hand_tuned
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, ModelError
+from needlefit.inference.doubts import Doubts, find_doubts
 from needlefit.inference.forward_model import make_options as mesh
 from needlefit.inference.parameter_changes import complete_published, load_changed_medium, search_freed
 from needlefit.inference.parameters import Parameters, with_hyperparameters, without_prior
+from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.samplers import SAMPLERS
 from needlefit.mechanics.plan import check_size, count_element_solves
 from needlefit.project.result_warnings import ResultWarning
@@ -139,3 +143,30 @@ def _require_feasible(job: Job) -> None:
             expected=f"at most {MAX_EVALUATION_ELEMENT_SOLVES:.3g}",
             fix="select fewer insertions, or take a larger constraint spacing",
         )
+
+
+# ---- needles that the others do not predict
+
+
+def find_odd_needles(job: Job, mode: Sequence[float] | None = None) -> Doubts:
+    """Return the needles that any fold fits to, and the others of these do not predict.
+
+    Those with values of another, or with constant ones, are left out. `mode` (P,): the most probable
+    parameters of a fit; None: of a quick one.
+    """
+    named = {
+        name
+        for warning in job.dataset.warnings
+        if warning.kind in ("copy", "axis_unit")
+        for name in warning.insertions
+    }
+    problem = join_folds(job)
+    others = tuple(insertion for insertion in problem.insertions if insertion.id not in named)
+    sound = replace(problem, insertions=others or problem.insertions)
+    return find_doubts(sound, None if mode is None else np.array(mode))
+
+
+def join_folds(job: Job) -> Problem:
+    """Return the problem of all insertions that any fold fits to."""
+    fitted = {insertion.id: insertion for fold in job.folds for insertion in fold.tune}
+    return job.problem(Fold("all", tuple(fitted.values()), ()))

@@ -23,11 +23,22 @@ from needlefit.reporting.slicer import write_needles
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_json
 from needlefit.reporting.text import KindText
-from needlefit.studies.answer import Status, Verdict, tabulate_checks
+from needlefit.schemas.origin import ORIGIN_MARKS, combine_origins
+from needlefit.studies import fit_tables
 from needlefit.studies.explorer import collect_explorer
-from needlefit.studies.first_page import METHOD, WHAT_TO_DO, FirstPage, lay_out_checks, list_failed
+from needlefit.studies.first_page import (
+    METHOD,
+    WHAT_TO_DO,
+    FirstPage,
+    Status,
+    Verdict,
+    lay_out_checks,
+    list_failed,
+    tabulate_checks,
+)
 from needlefit.studies.kind import find_kind
-from needlefit.studies.run import Run, mark_faults
+from needlefit.studies.run import FIT_KINDS, Run, mark_faults
+from needlefit.studies.scored_groups import tabulate_errors
 from needlefit.studies.store import read_sources, restore_run, store_run, store_sources
 
 
@@ -316,3 +327,114 @@ def _format_value(value: object) -> str:
         return f"{value:g}"
     words = "" if value is None else str(value)
     return f"{words[:16]}…" if len(words) >= 40 and " " not in words else words
+
+
+# ---- several studies
+
+COMBINED = KindText("combined")
+
+
+def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
+    """Write the errors and the report of several studies together; return the files.
+
+    The fits fill the table of in-sample errors; without any, each study's own fit does. Everything else, and
+    studies of other kinds, stands in the folder of its run.
+
+    Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
+    """
+    studies = [run for run in runs if run.kind == "cross_validation"]
+    tunings = [run for run in runs if run.kind == "fit"] or studies
+    tabulated = {"validation": studies, "tuning": tunings}
+    frames = {name: tabulate_errors(name, *some) for name, some in tabulated.items()}
+    layouts = [fit_tables.lay_out_errors(name, *some) for name, some in tabulated.items()]
+    layouts.insert(0, fit_tables.lay_out_matrix(studies))
+    origin_mark = ORIGIN_MARKS[combine_origins(run.origin for run in studies)]
+    with replace_folder(folder) as new:
+        for name, frame in frames.items():
+            if len(frame):
+                write_csv(frame, new / f"{name}.csv")
+        for table in layouts:
+            if table.rows:
+                (new / f"{table.name}.tex").write_text(format_latex(table, origin_mark), encoding="utf-8")
+        write_report(compose_overview(runs, layouts), new)
+        write_json(new / "run.json", {run.name: run.run_json for run in runs})
+        write_json(new / "timing.json", {run.name: run.timing for run in runs})
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def compose_overview(runs: Sequence[Run], tables: Sequence[TableLayout]) -> Document:
+    """Return one report over all studies: the data, the table of verdicts, the verdicts; then the rest."""
+    studies = [run for run in runs if run.kind == "cross_validation"]
+    pages = {run.name: run.first_page for run in studies}
+    states = [block for page in pages.values() for block in state_blocks(page)]
+    warned = [
+        block
+        for run in studies
+        for block in (
+            *(document.warning(f"{run.name}: {fault.kind}: {fault}.") for fault in run.faults),
+            *compose_warnings(run.warnings, head=f"{run.name}: "),
+        )
+    ]
+    blocks = {
+        "verdicts": [
+            document.verdict(f"{page.title.partition(':')[0]}. {page.verdict.sentence}.", page.verdict.status)
+            for page in pages.values()
+        ],
+        "end_of_first_page": [document.page_break()],
+        "warnings": [document.heading("Warnings"), *warned] if warned else [],
+    }
+    questions = [
+        f"{page.title.partition(':')[0]}: {page.question}" for page in pages.values() if page.question
+    ]
+    body = COMBINED.compose("report", {"questions": questions}, tables, {}, blocks)
+    data = "; ".join(dict.fromkeys(run.name if run.origin_mark else run.dataset_title for run in studies))
+    return Document(
+        "Validation studies",
+        data,
+        ORIGIN_MARKS[combine_origins(run.origin for run in studies)],
+        (*(block for n, block in enumerate(states) if block not in states[:n]), *body),
+    )
+
+
+# ---- reference results
+
+LENGTH_DECIMALS = 5  #: decimals of a length in mm
+SIGNIFICANT_DIGITS = 5  #: significant digits of all other numbers
+MAX_ROWS = 500  #: longest table that is kept: longer ones are intermediate results that nobody reviews
+
+
+def write_reference(run: Run, folder: Path) -> Path:
+    """Write the tables of a run, rounded, and its `run.json` to `folder`; return it.
+
+    Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
+    """
+    with replace_folder(folder) as new:
+        tables = {name: file for name, file in list_run_files(run).items() if not isinstance(file, str)}
+        for name in REVIEWED_TABLES.get(run.kind, tables):
+            frame = to_tidy(tables.get(name, pd.DataFrame()))
+            if 0 < len(frame) <= MAX_ROWS:
+                write_csv(round_frame(frame).assign(origin=run.origin), new / f"{name}.csv")
+        table = dict(run.run_json)
+        for name in ("source_revision", "validity"):  # they differ from machine to machine
+            table.pop(name, None)
+        write_json(new / "run.json", table)
+    return folder
+
+
+def round_frame(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a frame with lengths rounded to 0.00001 mm and other numbers to five significant digits."""
+    return frame.assign(**{str(name): _round_column(frame[name], str(name)) for name in frame})
+
+
+REVIEWED_TABLES = {
+    **dict.fromkeys(FIT_KINDS, ("checks", "validation", "tuning", "parameters", "errors", "predictive")),
+}
+"""Tables that are kept, by kind; of other kinds all are."""
+
+
+def _round_column(column: pd.Series, name: str) -> pd.Series:
+    if not pd.api.types.is_float_dtype(column):
+        return column
+    if name.endswith("_mm"):
+        return column.round(LENGTH_DECIMALS) + 0.0  # no −0
+    return column.map(lambda value: float(f"{value:.{SIGNIFICANT_DIGITS}g}"))

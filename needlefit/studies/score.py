@@ -29,8 +29,8 @@ from needlefit.metrics import TE, compute_metrics, list_metrics
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import LayerCountRule
-from needlefit.studies.fit_frames import MODEL_METHODS
 from needlefit.studies.job import Job
+from needlefit.studies.run import MODEL_METHODS
 
 SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
 

@@ -15,8 +15,7 @@ from needlefit.metrics import known_metrics, verdict_metrics
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.schemas.compared import DIRECTIONS
 from needlefit.schemas.run_metadata import JobMetadata
-from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames, list_methods
-from needlefit.studies.run import Run, value_of_run
+from needlefit.studies.run import PREDICTION_METHOD, FitFrames, Run, list_methods, value_of_run
 
 AGGREGATE_COLUMNS = ("metric", "value", "floor", "unflagged", "insertions", "edp_flagged", "not_converged")
 

@@ -33,7 +33,7 @@ from needlefit.project.toml import add_key_context
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.result_files import RunTable, StoredRunTable, TimingTable
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.answer import FaultKind, RunFault
+from needlefit.studies.first_page import FaultKind, RunFault
 from needlefit.studies.kind import KINDS, find_kind
 from needlefit.studies.run import Frames, Run
 

@@ -13,9 +13,7 @@ import pandas as pd
 class Drawing:
     """A figure of a report: a form and its frame."""
 
-    # The name of a function of `forms` or `fit_forms`, or of a module beside them that has a function `draw`,
-    # as observations have: frame and options -> figure
-    form: str
+    form: str  # "module.function" of this package: frame and options -> figure
     frame: pd.DataFrame  # all that is drawn; it is saved as CSV beside the figure
     options: Mapping[str, Any] = field(default_factory=dict)  # keyword arguments of the form
     # Frame -> the frame that the form draws, where that needs columns which are not saved
@@ -28,11 +26,10 @@ class Drawing:
 
         artist.kwdoc = lambda artist: ""
         artist.Artist._update_set_signature_and_docstring = lambda: None  # type: ignore[attr-defined]
-        from needlefit.reporting.figures import fit_forms, forms
         from needlefit.reporting.figures.style import plot
 
-        here = vars(forms) | vars(fit_forms)
-        paint = here.get(self.form) or import_module(f"{__package__}.{self.form}").draw
+        module, _, name = self.form.partition(".")
+        paint = getattr(import_module(f"{__package__}.{module}"), name)
         frame = self.frame.assign(origin=origin)
         return plot(path, frame, lambda frame: paint(self.prepare(frame), **self.options))
 
@@ -55,3 +52,15 @@ class Panel:
     line: str
     low: str
     high: str
+
+
+InsertionKey = tuple[str, str]  # fold and insertion
+INSERTION_KEYS = ["fold", "insertion"]
+HEIGHT_COLUMNS = ["y_mm", "low_mm", "high_mm"]
+BAND_WHITE = {"95 %": 0.8, "50 %": 0.56}  # in place of a curve, a band: share of white in its colour
+TIP_ERROR = "tip error"  # in place of a curve: the row is a tip error of a method
+PROFILE_KEYS = ["fold", "parameter"]
+VERDICT_COLUMNS = [  # of the identification
+    *("fisher_sd", "low", "high", "end_low", "end_high", "rise"),
+    *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
+]

@@ -21,12 +21,11 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter
-from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
-from needlefit.reporting.fonts import FAMILY, find_fonts, find_lacking, spell
+from needlefit.arrays import Floats
+from needlefit.reporting.fonts import FAMILY, compile_sheet, find_fonts, find_lacking, spell
 from needlefit.reporting.labels import ALARM_COLOUR, GREY, INK
-from needlefit.reporting.sheet import compile_sheet
 from needlefit.reporting.table_files import write_csv
 
 TEXT_WIDTH_IN = 7.16  # inches: the text width of the report, and of both columns of a paper together (IEEE)
@@ -226,7 +225,6 @@ def draw_grid(axes: Axes, axis: str) -> None:
 
 
 MM_PER_INCH = 25.4
-Floats = NDArray[np.float64]
 
 LETTER_WIDTH_MM = 1.3  # mm on paper, of a letter of 7 points
 MIN_LABEL_GAP_MM = 1.5  # mm on paper, between two names

@@ -38,9 +38,7 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.run_metadata import IdentificationMetadata
 from needlefit.studies import fit_figures
-from needlefit.studies.advice import advise
-from needlefit.studies.answer import Verdict
-from needlefit.studies.first_page import FirstPage
+from needlefit.studies.first_page import FirstPage, Verdict, advise
 from needlefit.studies.identification import (
     IDENTIFICATION_COLUMNS,
     PROFILE_COLUMNS,

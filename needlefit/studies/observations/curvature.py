@@ -6,11 +6,10 @@ from needlefit.inference.compared_points import Curve
 from needlefit.inference.likelihood.observations.curvature import require_curvature, surround_sensors
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row
-from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.job import Job
 from needlefit.studies.observations import StudiedObservation
 from needlefit.studies.prediction_scores import tabulate_sensors
-from needlefit.studies.run import Run
+from needlefit.studies.run import FitFrames, Run
 
 
 def draw_sensors(run: Run, role: str) -> dict[str, Drawing]:
@@ -22,7 +21,7 @@ def draw_sensors(run: Run, role: str) -> dict[str, Drawing]:
         sd=1e3 * sensors["kappa_sd_1_per_mm"],
         origin=run.origin,
     )
-    return {"sensors": Drawing("curvature", frame)} if len(frame) else {}
+    return {"sensors": Drawing("curvature.draw", frame)} if len(frame) else {}
 
 
 def check_sensors(job: Job) -> None:

@@ -51,7 +51,6 @@ from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies import fit_figures
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fold_draws import Specimens, describe_specimen
 from needlefit.studies.job import Job
 from needlefit.studies.observations import (
@@ -74,7 +73,7 @@ from needlefit.studies.prediction_scores import (
     tabulate_band,
     tabulate_sensors,
 )
-from needlefit.studies.run import Run
+from needlefit.studies.run import FitFrames, Run
 from needlefit.studies.score import predict_needle
 
 #: columns that predictions of curvatures, or in space, have besides

@@ -4,9 +4,8 @@ import numpy as np
 
 from needlefit.reporting.figures import Drawing
 from needlefit.schemas.run_metadata import FitMetadata
-from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.observations import StudiedObservation
-from needlefit.studies.run import Run
+from needlefit.studies.run import FitFrames, Run
 from needlefit.studies.scored_groups import find_bevel_sides
 
 
@@ -30,7 +29,7 @@ def draw_tips(run: Run, role: str) -> dict[str, Drawing]:
         low_mm=low,
         high_mm=high,
     )
-    return {"tips": Drawing("tip", frame)}
+    return {"tips": Drawing("tip.draw", frame)}
 
 
 TIP = StudiedObservation("tip", draw_tips)

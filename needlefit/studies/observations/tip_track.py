@@ -39,7 +39,6 @@ from needlefit.reporting.table_files import Row
 from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
 from needlefit.studies.fold_draws import Specimens, describe_specimen
 from needlefit.studies.job import Job
 from needlefit.studies.observations import (
@@ -49,7 +48,7 @@ from needlefit.studies.observations import (
     describe_held_out,
 )
 from needlefit.studies.prediction_scores import list_band_ends, score_shape, score_tip
-from needlefit.studies.run import Run
+from needlefit.studies.run import PREDICTION_METHOD, FitFrames, Run
 from needlefit.studies.score import Scorer, make_scorer
 
 NAME = "tip_track"
@@ -401,7 +400,7 @@ def _list_readings(
 def draw_tracks(run: Run, role: str) -> dict[str, Drawing]:
     """Return every predicted run, the tip at each reading and the guide below it."""
     readings = FitFrames.of(run).readings
-    return {"readings": Drawing("tip_track", readings)} if len(readings) else {}
+    return {"readings": Drawing("tip_track.draw", readings)} if len(readings) else {}
 
 
 TIP_TRACK = StudiedObservation(NAME, draw_tracks, predict_tracks, has_errors=True, check=check_tracks)

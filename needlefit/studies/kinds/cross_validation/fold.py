@@ -37,9 +37,8 @@ from needlefit.project.tasks import compute_beside, stop_requested
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import CountMetadata
-from needlefit.studies.answer import RunFault, find_fault_kind
-from needlefit.studies.fit_frames import PREDICTION_METHOD, TUNED_SPECIMENS
-from needlefit.studies.fit_warnings import describe_point
+from needlefit.studies.first_page import RunFault, find_fault_kind
+from needlefit.studies.fit_warnings import MOSTLY_OUTSIDE, add_counts, describe_point
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters, measure_prior, search_fit
 from needlefit.studies.identification import (
     IDENTIFICATION_COLUMNS,
@@ -61,8 +60,8 @@ from needlefit.studies.kinds.cross_validation.rows import (
 )
 from needlefit.studies.needle_placement import NeedleInScan, place_needles
 from needlefit.studies.observations import STUDIED, HeldOutPrediction, Tables, find_studied, predict_held_out
+from needlefit.studies.run import PREDICTION_METHOD, TUNED_SPECIMENS
 from needlefit.studies.score import make_predictors, make_scorer, predict_needle
-from needlefit.studies.validity import MOSTLY_OUTSIDE, add_counts
 
 FitRows = dict[str, Sequence[Any]]  #: rows by the name of the table that they belong to
 #: tables of what is scored and predicted, and the simulations outside what the model assumes

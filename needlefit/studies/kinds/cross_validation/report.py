@@ -19,19 +19,26 @@ from needlefit.reporting.table_files import select_rows, to_records, to_tidy
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.advice import advise, classify_doubt, find_failures, list_doubts, name_doubt
-from needlefit.studies.answer import Advice, Check, Status, Verdict
-from needlefit.studies.first_page import FirstPage
-from needlefit.studies.fit_frames import FitFrames
+from needlefit.studies.first_page import (
+    Advice,
+    Check,
+    FirstPage,
+    Status,
+    Verdict,
+    advise,
+    classify_doubt,
+    find_failures,
+    list_doubts,
+    name_doubt,
+)
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification import lay_out_identification
 from needlefit.studies.judge import Judgement, find_contradictions, judge, list_checks
 from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.observations import draw_observations
-from needlefit.studies.odd_needles import draw_odd_needles
 from needlefit.studies.prediction_scores import AFTER_ONE_COLUMN, PREDICTED
 from needlefit.studies.report import StudyReport, list_data_notes
-from needlefit.studies.run import Run, value_of_run
+from needlefit.studies.run import FitFrames, Run, value_of_run
 
 __all__ = ["FRAMES", "REPORT"]
 
@@ -214,7 +221,7 @@ def list_figures(run: Run) -> dict[str, Drawing]:
     if len(frames.predictive):
         figures["predicted"] = fit_figures.draw_predictive_check(run)
     if odd := run.knows(FitMetadata).odd_needles:
-        figures["odd_needles"] = draw_odd_needles(odd)
+        figures["odd_needles"] = fit_figures.draw_odd_needles(odd)
     if len(frames.profiles):
         figures["profiles"] = fit_figures.draw_profiles(frames.identification, frames.profiles)
     return figures

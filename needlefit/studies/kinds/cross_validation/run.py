@@ -25,9 +25,8 @@ from needlefit.project.tasks import LocalPool, can_fork
 from needlefit.reporting.table_files import select_rows
 from needlefit.schemas.run_metadata import EffectMetadata, FitMetadata, InsertionMetadata, JobMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.advice import CONTRADICTIONS
-from needlefit.studies.answer import FaultKind, Outcome, RunFault
-from needlefit.studies.fit_warnings import list_warnings
+from needlefit.studies.first_page import CONTRADICTIONS, FaultKind, Outcome, RunFault
+from needlefit.studies.fit_warnings import list_warnings, tabulate_validity
 from needlefit.studies.identity import describe_configuration
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.judge import judge
@@ -40,12 +39,10 @@ from needlefit.studies.kinds.cross_validation.fold import (
     run_fold,
 )
 from needlefit.studies.kinds.cross_validation.rows import FRAMES
-from needlefit.studies.load import load_study
+from needlefit.studies.load import find_odd_needles, join_folds, load_study
 from needlefit.studies.needle_placement import tabulate_needles_in_scan
-from needlefit.studies.odd_needles import find_odd_needles, join_folds
 from needlefit.studies.prediction_scores import add_errors_over_noise
 from needlefit.studies.run import Run
-from needlefit.studies.validity import tabulate_validity
 
 __all__ = ["FRAMES", "Settings", "run"]
 

@@ -15,11 +15,9 @@ from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.run_metadata import PredictionMetadata
 from needlefit.schemas.scene import SceneRecord
-from needlefit.studies.advice import advise
-from needlefit.studies.answer import Advice, Verdict
-from needlefit.studies.first_page import FirstPage
+from needlefit.studies.first_page import Advice, FirstPage, Verdict, advise
 from needlefit.studies.fit_tables import lay_out_estimates
-from needlefit.studies.kinds.prediction.forecast import AXES
+from needlefit.studies.kinds.prediction.run import AXES
 from needlefit.studies.prediction_scores import MAX_AIMING_WIDTH_MM
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run
@@ -144,7 +142,7 @@ def draw_prediction(run: Run) -> dict[str, Drawing]:
             parts.append(table.assign(band=level, **named))
         return pd.concat(parts, ignore_index=True)
 
-    return {"forecast": Drawing("curves", table, options, list_bands)}
+    return {"forecast": Drawing("forms.curves", table, options, list_bands)}
 
 
 REPORT = StudyReport(TEXT, describe_prediction, tabulate_prediction, draw_prediction, describe_forecast)

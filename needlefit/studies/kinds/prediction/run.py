@@ -1,25 +1,44 @@
 """A prediction in four steps: what is known of the fit, draws of its parameters, the needle, its warnings."""
 
+import json
+import math
+import re
 import shlex
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from needlefit.arrays import Floats
+from needlefit.datasets.first_study import describe_scene
+from needlefit.datasets.insertion import Insertion, split_boundary_sd
+from needlefit.datasets.read import read
+from needlefit.datasets.select import select_insertions
+from needlefit.errors import ConfigError, ModelError
+from needlefit.inference.compared_points import draw_rolls, turn_about_x
+from needlefit.inference.curve_bands import find_bands
+from needlefit.inference.draw_simulation import draw_entry_errors, simulate_scene_draws, vary_bevels
+from needlefit.inference.forward_model import make_options
 from needlefit.inference.identifiability.precision import find_model_error
 from needlefit.inference.identifiability.profile import minimize_squares
-from needlefit.inference.predict import Draws, thin_posterior
+from needlefit.inference.point_prediction import PointPrediction, choose_point
+from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, estimate_end_errors, thin_posterior
+from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
 from needlefit.project.progress import no_note
+from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
+from needlefit.project.toml import find_named
 from needlefit.project.unit_warnings import extrapolation_warnings, scene_warnings
+from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.run_metadata import PredictionMetadata
-from needlefit.studies.advice import advise
-from needlefit.studies.answer import RunFault, find_fault_kind
+from needlefit.schemas.scene import SceneRecord
+from needlefit.schemas.study import FitRecord
 from needlefit.studies.explorer import choose_drawn
+from needlefit.studies.first_page import RunFault, advise, find_fault_kind
 from needlefit.studies.fit_warnings import describe_point, write_warning
 from needlefit.studies.fold_draws import (
     PREDICTION_DRAWS,
@@ -33,12 +52,226 @@ from needlefit.studies.identification import ParameterRow, add_intervals, interv
 from needlefit.studies.identity import describe_change, identify
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kinds.prediction import PredictionRecord
-from needlefit.studies.kinds.prediction.forecast import forecast, tabulate_forecast
-from needlefit.studies.kinds.prediction.scene import make_scene, require_fitted_kind
 from needlefit.studies.report import find_report, recall
 from needlefit.studies.run import Run
 from needlefit.studies.store import posterior_file_names, restore_run
 from needlefit.studies.study_files import begin_run, is_study, prepare_target, prepare_with_held_out
+
+# ---- the needle for all draws of the parameters, its intervals and bands
+
+FORECAST_POINTS = 101  #: points of a predicted needle, from entry to tip
+NEAR_DRAWS = 20  #: draws of which the one nearest to the median is chosen
+
+#: in the names of columns: along y, and z
+AXES = ("", "z_")
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """A predicted needle in the scene's constraint frame, with its uncertainty."""
+
+    s: Floats  #: (K,), arc length from the entry, mm
+    needle: Floats  #: (K, 3), the predicted needle, mm
+    across: Floats  #: (B, K, 1), in space (B, K, 2): y, and z, of each draw that has a solution, mm
+    failed: int  #: draws of which the solve failed; they are left out
+    outside: int  #: draws whose needle is outside what the model assumes; they are kept
+    point: PointPrediction  #: which needle is predicted
+    mode: Mapping[str, float]  #: the parameters of the posterior mode
+    nearest: Mapping[str, float] | None  #: of the draw whose tip is nearest to a median
+    sets: Sequence[Mapping[str, float]]  #: parameters of all draws, each with a bevel of its own
+
+
+def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
+    """Return one row per station, mm: s and x, then y, in space z, its intervals and bands."""
+    columns = {"s_mm": forecast.s, "x_mm": forecast.needle[:, 0]}
+    count, points, directions = forecast.across.shape
+    bands = find_bands(forecast.across.transpose(0, 2, 1).reshape(count, -1))  # over y and z together
+    for n, axis in enumerate(AXES[:directions]):
+        columns[f"needle_{axis}predicted_mm"] = forecast.needle[:, 1 + n]
+        for level in INTERVAL_PROBABILITIES:
+            pointwise = np.quantile(forecast.across[..., n], [(1 - level) / 2, (1 + level) / 2], axis=0)
+            whole = (end.reshape(directions, points)[n] for end in bands.ends(level))
+            errors = estimate_end_errors(forecast.across[..., n], level)
+            for part, unit, ends in (
+                ("needle", "mm", pointwise),
+                ("needle", "error_mm", errors),
+                ("band", "mm", whole),
+            ):
+                named = (f"{part}_{axis}{100 * level:.0f}_{end}_{unit}" for end in ("low", "high"))
+                columns |= dict(zip(named, ends, strict=True))
+    return pd.DataFrame(columns)
+
+
+def forecast(scene: Scene, specimens: Specimens, into: Insertion | None) -> Forecast:
+    """Predict the needle of a planned insertion.
+
+    The scene is under the rules of the fit (`make_scene`); draws replace its moduli and bevel offset: layer n
+    of the scene is layer n of the medium. With each draw a bevel of this insertion and the depths of layers
+    and tip are drawn too, in space also the roll, as they err in a typical insertion of the dataset. The
+    specimen is that of the insertion `into`, or, with None, one that is not in the dataset. Where it has no
+    draws of its own, those of all insertions together stand in.
+
+    Raises ModelError if no draw can be solved, or the mode cannot.
+    """
+    job, draws, mode = specimens.job, specimens.draws_in(into), specimens.mode_in(into)
+    thetas = draws.thetas if len(draws.thetas) else specimens.draws.thetas
+    assert mode is not None
+    rng = random_stream(job.recipe.seed, job.name, "forecast")
+    s = np.linspace(0.0, scene.depth, FORECAST_POINTS)
+    sets = vary_bevels([job.parameters.values(theta) for theta in thetas], specimens.bevel_sd_in(into), rng)
+    typical = [
+        (insertion.depth_sd, np.hypot(*split_boundary_sd(insertion))) for insertion in job.dataset.insertions
+    ]
+    entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
+    deep = draw_entry_errors(entry_sd, len(sets), rng)
+    wrong = boundary_sd * rng.standard_normal((len(sets), scene.tissue.layers - 1))
+    drawn = simulate_scene_draws(sets, job.medium, scene, s, deep, wrong)
+    points = drawn.points[drawn.solved]  # (B, K, 3)
+
+    def simulate(values: Mapping[str, float]) -> Floats:
+        """Return the needle (K, 3) of one set of values at the depths as they are stated."""
+        exact = np.zeros((1, scene.tissue.layers))
+        (simulated,) = simulate_scene_draws([values], job.medium, scene, s, exact[:, 0], exact[:, 1:]).points
+        return simulated
+
+    needle = simulate(job.parameters.values(mode))
+    if not (len(points) and np.isfinite(needle).all()):
+        raise ModelError(
+            f"{len(points)} of {len(thetas)} draws of the parameters can be solved for this scene, and "
+            f"{'not ' * bool(len(points))}their mode",
+            fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
+        )
+    outside = int(np.sum(~drawn.valid[drawn.solved]))
+    directions = max(job.dataset.directions, 1 + int(points[..., 2].any()))
+    roll_sd = math.sqrt(np.mean([insertion.roll_sd**2 for insertion in job.dataset.insertions]))
+    points = turn_about_x(points, draw_rolls(roll_sd, directions, len(points), rng))
+    compared, point = slice(1, 1 + directions), PointPrediction()
+    if not draws.faults:
+        problem = job.problem(specimens.fold)
+        point = choose_point(
+            problem, mode, points[..., compared], lambda theta: simulate(problem.values(theta))[:, compared]
+        )
+    needle, nearest = point.take(needle, points), None
+    if point.is_median:
+        away = np.linalg.norm(points[:, -1] - needle[-1], axis=1)
+        near = np.flatnonzero(drawn.solved)[np.argsort(away)[:NEAR_DRAWS]]
+        nearest = min(
+            (sets[n] for n in near), key=lambda values: np.linalg.norm(simulate(values)[-1] - needle[-1])
+        )
+    return Forecast(
+        s,
+        needle,
+        points[..., compared],
+        failed=len(thetas) - len(points),
+        outside=outside,
+        point=point,
+        mode=job.parameters.values(mode),
+        nearest=nearest,
+        sets=sets,
+    )
+
+
+# ---- the scene: like the deepest fitted insertion, and under the rules of the fit
+
+RIGIDITY_TOLERANCE = 0.02  #: relative difference of two needles' rigidity from which on they are two needles
+
+
+def describe_like_deepest(
+    fit: FitRecord, inputs: Inputs, medium: MediumRecord
+) -> tuple[str, dict[str, Any], Path]:
+    """Return the deepest insertion of a fit: its id, the keys of a scene like it, the file of the dataset.
+
+    Raises ConfigError or DataError if the data of the fit are missing or wrong.
+    """
+    dataset = inputs.dataset or read(find_named("dataset", fit.dataset))
+    fitted = select_insertions(dataset, fit.tune, fit.layer_count_rule)
+    deepest = max(fitted, key=lambda insertion: insertion.depth)
+    return deepest.id, describe_scene(dataset, deepest, medium.advance), dataset.path
+
+
+#: keys of a scene whose values the draws replace
+_REPLACED = re.compile(
+    r"(layers\.\d+\.(mu_pa|alpha|shape(\.\w+)?)|(bevel|steps\.\d+)\.(offset_mm|cut_angle_deg))$"
+)
+#: rules under which parameters mean what they do: those of a fit are of no use under others
+_FITTED_RULES = ("advance", "constraint_spacing_mm", "constraint_switch", "tangent_part")
+
+
+def make_scene(record: SceneRecord, where: str, medium: MediumRecord, changed: Sequence[str] = ()) -> Scene:
+    """Return a planned insertion under the rules of the fit, with the lattice that the scene states.
+
+    `where`: named in errors. `changed`: dotted keys that the user changed in the scene.
+
+    Raises ConfigError if the scene states what the fit does not have, or the user changed what the draws
+    replace.
+    """
+    _require_fitted_rules(record, where, medium)
+    dropped = [key for key in changed if _REPLACED.match(key)]
+    for n, step in enumerate(record.steps, start=1):
+        given = (key for key in ("offset_mm", "cut_angle_deg") if getattr(step, key) is not None)
+        dropped += [f"steps.{n}.{key}" for key in given]
+    if dropped:
+        raise ConfigError(
+            f"{', '.join(f'`{key}`' for key in dict.fromkeys(dropped))} would have no effect: draws take "
+            "its place",
+            where=where,
+            expected="needle, depth, depths of layers, bevel side, controls",
+            fix="leave it out; `needlefit simulate` takes all values from the scene",
+        )
+    scene = Scene.from_record(record, where)
+    options, stated = make_options(medium), record.rules
+    if "element_mm" in stated.model_fields_set:
+        options = replace(options, element=stated.element)
+    if "first_cell_mm" in stated.model_fields_set:
+        options = replace(options, first_cell=stated.first_cell_mm)
+    return replace(scene, rules=options)
+
+
+def _require_fitted_rules(record: SceneRecord, where: str, medium: MediumRecord) -> None:
+    """Raise ConfigError where a scene states another rule, law, thickness or friction than the fit used."""
+    rules = record.rules
+    stated: dict[str, tuple[object, object]] = {
+        f"rules.{key}": (getattr(rules, key), getattr(medium, key))
+        for key in _FITTED_RULES
+        if key in rules.model_fields_set
+    }
+    for key in ("law", "torsional_friction_n"):
+        if key in record.model_fields_set:
+            stated[key] = getattr(record, key), getattr(medium, key)
+    for n, layer in enumerate(record.layers, start=1):
+        stated[f"layers.{n}.friction"] = layer.friction, 0.0
+        if "thickness_mm" in layer.model_fields_set:
+            stated[f"layers.{n}.thickness_mm"] = layer.thickness_mm, medium.thickness_mm
+    for key, (value, fitted) in stated.items():
+        if value != fitted:
+            raise ConfigError(
+                f"`{key}` is {json.dumps(value)}, but the parameters were fitted with {json.dumps(fitted)}",
+                where=where,
+                expected=f"{json.dumps(fitted)}",
+                fix=f"leave `{key}` out, or fit a tissue model with {json.dumps(value)}",
+            )
+
+
+def require_fitted_kind(scene: Scene, job: Job) -> None:
+    """Raise ConfigError if a scene has more layers than the medium of a fit, or another needle."""
+    if scene.tissue.layers > job.medium.layers:
+        raise ConfigError(
+            f"the scene has {scene.tissue.layers} layers, the fitted medium {job.medium.layers}",
+            expected="at most as many",
+            fix="name a scene of the fitted medium",
+        )
+    ours = scene.needle.flexural_rigidity
+    fitted = dict.fromkeys(insertion.needle.flexural_rigidity for insertion in job.insertions)
+    if all(abs(ours - rigidity) > RIGIDITY_TOLERANCE * rigidity for rigidity in fitted):
+        stated = " or ".join(f"{rigidity:.4g}" for rigidity in fitted)
+        raise ConfigError(
+            f"the scene's needle has a flexural rigidity of {ours:.4g} N mm^2, the fitted one {stated}",
+            expected="the needle that the parameters were fitted with",
+            fix="correct [needle] of the scene",
+        )
+
+
+# ---- the run
 
 (POSTERIOR_FILE,) = posterior_file_names(1)
 

@@ -35,8 +35,7 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.origin import combine_origins
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.run_metadata import RunMetadata
-from needlefit.studies.advice import advise
-from needlefit.studies.first_page import FirstPage
+from needlefit.studies.first_page import FirstPage, advise
 from needlefit.studies.identity import package_versions
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
@@ -291,7 +290,7 @@ def draw_batch(run: Run) -> dict[str, Drawing]:
     """Return the deflection of each needle, with its pointwise 95 % band."""
     panel = Panel("deflection (mm)", line="y_mm", low="low_mm", high="high_mm")
     options = {"x": "x_mm", "by": "id", "x_label": "x along the entry (mm)", "panels": (panel,)}
-    return {"deflections": Drawing("curves", run.frames["deflections"], options)}
+    return {"deflections": Drawing("forms.curves", run.frames["deflections"], options)}
 
 
 REPORT = StudyReport(
