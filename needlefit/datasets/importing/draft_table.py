@@ -16,6 +16,7 @@ from needlefit.datasets.importing.meanings import (
     Header,
     Keys,
     find_meaning,
+    is_bore,
     name_axes,
     read_header,
     split_unit,
@@ -164,6 +165,8 @@ class TableDraft:
         if meaning == "medium" and any(are_needles):
             is_clear = all(are_needles) and "modulus" not in headers
             return ["modulus"] if is_clear else ["medium", "modulus"]
+        if is_bore(column.text, self.table.headers):
+            return ["inner_diameter"]
         if meaning == "guide" and "depth" not in headers and self.increases(column):  # of the stage
             return ["depth"]
         return meaning.split("|")

@@ -4,7 +4,7 @@ import csv
 import re
 import tomllib
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
@@ -74,7 +74,7 @@ _UMLAUT = re.compile("([aou])e")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 INDEX = re.compile(r"\[(\d+)\]")  # of an element of an array: `poses[3]`
 _BRACKET = re.compile(r"\s*[\[(（【]\s*([^\[\]()（）【】]+?)\s*[\])）】]")
-_ENDING = re.compile(r"(?:\s*[/,]\s*|[_\s])(1[_ ]per[_ ]|)([^\W\d_]+|[°%])$")
+_ENDING = re.compile(r"(?:\s*[/,]\s*|[_\s])(1(?:[_ ]per[_ ]|/)|)([^\W\d_]+|[°%])$")
 _QUANTITY = re.compile(r"([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[-+]?\d+)?)\s*(1/|)(\D*)", re.IGNORECASE)
 _INVERSE = re.compile(r"1\s*/\s*(\w+)|(\w+)\s*\^?[-−⁻][1¹]")  # of curvatures: 1/m, m^-1
 
@@ -142,6 +142,12 @@ def _look_up_part(words: Sequence[str]) -> tuple[str, str]:
 def find_meaning(kind: str, text: str) -> str:
     """Return what a text means among the entries of a kind; "" where the table does not know it."""
     return _look_up(kind, _split(text))[0]
+
+
+def is_bore(text: str, headers: Iterable[str]) -> bool:
+    """Whether a header states an inner diameter, as `ID` beside `OD`; else `ID` names needles."""
+    bores = (find_meaning("bore", split_unit(header)[0]) for header in (text, *headers))
+    return next(bores) == "inner" and "outer" in bores
 
 
 def split_unit(text: str) -> tuple[str, str]:

@@ -15,7 +15,7 @@ from typing import Any
 
 from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.csv import check_extent
-from needlefit.datasets.importing.meanings import EXPORTS, find_meaning, read_header
+from needlefit.datasets.importing.meanings import EXPORTS, find_meaning, is_bore, read_header
 from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem
@@ -291,7 +291,8 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
         )
     (unit,) = units
     keys = dict.fromkeys(key for points in curves.values() for key in (*points.stated, *points.columns))
-    fields = [key for key in keys if key.lower() not in UNIT_FIELDS and not _is_name(key)]
+    names_of = [key for key in keys if read_header(key).meaning == "needle" and not is_bore(key, keys)]
+    fields = [key for key in keys if key.lower() not in UNIT_FIELDS and key not in names_of]
     rows, places = list[tuple[str, ...]](), list[str]()
     for name, points in curves.items():
         count = len(points.values)
@@ -299,7 +300,7 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
             key: [text] * count for key, text in points.stated.items() if text
         }
         beside |= points.columns
-        names = next((beside[key] for key in reversed(beside) if _is_name(key)), [name] * count)
+        names = next((beside[key] for key in reversed(beside) if key in names_of), [name] * count)
         coordinates = (map(repr, axis) for axis in points.values.T.tolist())
         rows += zip(names, *coordinates, *(beside.get(key, [""] * count) for key in fields), strict=False)
         places += map(points.where, range(count))
@@ -307,11 +308,6 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
     system: PatientSystem | None = "LPS" if form.in_scan else None
     table = Table(path, rows, headers=headers, places=places, system=system, unit=unit)
     return table, [*remarks]
-
-
-def _is_name(key: str) -> bool:
-    """Whether a field names needles."""
-    return read_header(key).meaning == "needle"
 
 
 def _read_unit(points: Points) -> str:

@@ -48,7 +48,7 @@ def propose_curvatures(draft: TableDraft, is_stated: bool) -> dict[str, Columns]
         return {}
     for key in ("sensor_from_base" if "sensor_from_base" in taken else "sensor", *AXES):
         if key not in taken and "value" not in draft.draft.columns.get(key, {}):
-            likely = inverse if key in AXES and inverse else draft.list_unknown()
+            likely = inverse if key in AXES else [one for one in draft.list_unknown() if one not in inverse]
             draft.ask_column(key, likely, {"0, in one plane": {f"{key}.value": "0"}} if key in AXES else {})
     return {"": {}}
 

@@ -76,7 +76,15 @@ class ShapePlacer(Placer):
             reason = f"{list_names(against)} runs against the others"
             fix = f"{advise_order(against)}; or, if needles enter from two sides, state "
             fix += f"{name_set('entry', 'first')}, and {name_set('pose', 'free')}"
-        self.entry = self.settle("entry", "" if against else "first", reason, fix).text
+        along = to_unit(chords.sum(axis=0)) if chords.sum(axis=0).any() else np.zeros(3)
+        first, last = (float(np.ptp([curve.line[end] @ along for curve in self.curves])) for end in (0, -1))
+        is_open = not against and self.stated("pose") in ("", "free") and first > last + MIN_CUT_MM
+        if is_open:
+            reason = (
+                f"along the needles the last points differ by {last:.2g} mm, the first ones by {first:.2g} mm"
+            )
+            fix = f"{name_set('entry', 'last')} if first points are tips, else {name_set('entry', 'first')}"
+        self.entry = self.settle("entry", "" if against or is_open else "first", reason, fix).text
         for curve in self.curves if self.entry == "last" else ():
             curve.points = curve.points.part(np.arange(len(curve.line))[::-1])
 

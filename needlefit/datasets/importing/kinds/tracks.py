@@ -314,8 +314,10 @@ def propose_tracks(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     if draft.are_deflections:
         is_track, reason = draft.increases(draft.taken["depth"][0]), "the depths of each needle increase"
     else:
-        is_tip = any(column.beside in ("tip", "deflection") for column in draft.axis_columns)
-        is_alone = len(draft.groups) < 2 and not draft.names_rows
+        is_tip = "tip" in words or any(
+            column.beside in ("tip", "deflection") for column in draft.axis_columns
+        )
+        is_alone = "tip" in words or (len(draft.groups) < 2 and not draft.names_rows)
         is_track = is_alone and is_tip + len(draft.changing) >= MIN_SIGNS
         reason = f"each row has a {min(draft.changing, default='')} of its own"
     if is_track:
