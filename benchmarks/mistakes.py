@@ -36,7 +36,7 @@ from needlefit.datasets.first_study import write_first_runs
 from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.importing.writing import write_plan
 from needlefit.errors import NeedlefitError
-from needlefit.inference.common_doubts import MIN_SHIFT_MM
+from needlefit.inference.doubts import MIN_SHIFT_MM
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions

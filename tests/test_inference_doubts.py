@@ -9,7 +9,7 @@ from inference_cases import TRUTH, dataset, insertion, measure, medium
 from inference_cases import problem as make_problem
 
 from needlefit.datasets.insertion import Noise
-from needlefit.inference import common_doubts
+from needlefit.inference import doubts
 from needlefit.inference.doubts import Doubts, find_doubts, find_limit
 from needlefit.inference.hypotheses import Change, Deviation, Explanation, explain, search_sizes
 from needlefit.inference.linear_needles import fit_quickly
@@ -126,10 +126,10 @@ def test_a_boundary_is_not_clear_where_another_one_explains_as_much_by_what_cann
 @pytest.mark.parametrize(("sd", "is_named"), [(0.8, True), (4.0, True), (4.4, False)])
 def test_a_boundary_is_named_from_three_standard_deviations_on(monkeypatch, sd, is_named):
     problem = make(measure_needles(7))
-    (change,) = common_doubts.list_boundary_shifts(problem)
+    (change,) = doubts.list_boundary_shifts(problem)
     found = Explanation(change, 12.6, sd, 0.0, 20.0, is_clear=True)
-    monkeypatch.setattr(common_doubts, "explain", lambda *_: found)
-    named = common_doubts.find_common(problem, problem.parameters.theta(TRUTH))
+    monkeypatch.setattr(doubts, "explain", lambda *_: found)
+    named = doubts.find_common(problem, problem.parameters.theta(TRUTH))
     assert (named is not None) == is_named
 
 

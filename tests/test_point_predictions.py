@@ -9,9 +9,8 @@ import pytest
 from numpy.random import default_rng
 
 from needlefit import api, minimize
-from needlefit.inference.compared_points import align_points
-from needlefit.inference.likelihood.observations import select_points
-from needlefit.inference.point_prediction import PointPrediction, choose_point
+from needlefit.inference.likelihood.observations import align_points, select_points
+from needlefit.inference.predict import PointPrediction, choose_point
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord

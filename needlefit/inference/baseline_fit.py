@@ -13,8 +13,13 @@ from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline, list_baselines
-from needlefit.inference.compared_points import ComparedPoints, Curve, align_points, turn_about_x
-from needlefit.inference.likelihood.observations import list_comparisons
+from needlefit.inference.likelihood.observations import (
+    ComparedPoints,
+    Curve,
+    align_points,
+    list_comparisons,
+    turn_about_x,
+)
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,16 @@ from scipy.special import ndtr, ndtri
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.grouping import group_values
-from needlefit.inference.forward_model import make_batch, stack_values, tabulate_sets
+from needlefit.inference.forward_model import (
+    MAX_DRAWN_LAYERS,
+    find_path_layers,
+    make_batch,
+    stack_values,
+    tabulate_sets,
+)
 from needlefit.inference.likelihood.nodes import enforce_order
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
 from needlefit.inference.parameters import make_tissue
-from needlefit.inference.planned_layers import MAX_DRAWN_LAYERS, find_path_layers
 from needlefit.mechanics.batch import (
     Batch,
     NeedleShapes,

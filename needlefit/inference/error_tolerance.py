@@ -16,11 +16,16 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.noise import draw_measurement_errors
 from needlefit.datasets.select import MIN_GROUPS, group_insertions
-from needlefit.inference.compared_points import ComparedPoints, align, differentiate_align, draw_rolls
 from needlefit.inference.fit import EvaluationRecorder, ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.nodes import Surface, make_nodes
-from needlefit.inference.likelihood.observations import ScoredObservation
+from needlefit.inference.likelihood.observations import (
+    ComparedPoints,
+    ScoredObservation,
+    align,
+    differentiate_align,
+    draw_rolls,
+)
 from needlefit.inference.metric_objective import WeightedDistances, weigh_stations
 from needlefit.inference.parameters import Parameters, Values
 from needlefit.inference.problem import MetricGoal, Problem

@@ -13,13 +13,16 @@ from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
-from needlefit.inference.compared_points import ComparedPoints, align, align_points, differentiate_align
 from needlefit.inference.fit import ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel, predict, respond_to_moves
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, Discrepancy
 from needlefit.inference.likelihood.observations import (
+    ComparedPoints,
     ScoredObservation,
     SimulatedCurve,
+    align,
+    align_points,
+    differentiate_align,
     list_scored,
     make_observation,
 )

@@ -13,16 +13,17 @@ from needlefit.datasets.select import count_layers, name_holes, select_same_need
 from needlefit.geometry.curves import ComparedCurves
 from needlefit.inference.baseline_fit import FittedBaseline, fit_baselines
 from needlefit.inference.baselines import list_baselines
-from needlefit.inference.compared_points import ComparedPoints, Curve, align_points
 from needlefit.inference.fit import Fit
-from needlefit.inference.forward_model import predict
+from needlefit.inference.forward_model import predict, with_planned_layers
 from needlefit.inference.likelihood.observations import (
     OBSERVATIONS,
+    ComparedPoints,
+    Curve,
     SimulatedCurve,
+    align_points,
     list_comparisons,
     list_scored,
 )
-from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
 from needlefit.metrics import TE, compute_metrics, list_metrics

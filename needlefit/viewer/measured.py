@@ -10,9 +10,8 @@ from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.datasets.read import read_shapes, require_shapes
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement, align_rigid, move_frame
-from needlefit.inference.compared_points import align
 from needlefit.inference.forward_model import select_layer_draws
-from needlefit.inference.likelihood.observations import estimate_floor, select_points
+from needlefit.inference.likelihood.observations import align, estimate_floor, select_points
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import find_last_shape

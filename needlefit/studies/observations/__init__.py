@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, name_holes
 from needlefit.grouping import group_values
-from needlefit.inference.compared_points import Curve
-from needlefit.inference.point_prediction import PointPrediction
-from needlefit.inference.predict import Draws
+from needlefit.inference.likelihood.observations import Curve
+from needlefit.inference.predict import Draws, PointPrediction
 from needlefit.project.progress import Step, no_step
 from needlefit.registry import Registry
 from needlefit.reporting.figures import Drawing

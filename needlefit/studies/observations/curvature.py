@@ -2,7 +2,7 @@
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.curves import select_compared
-from needlefit.inference.compared_points import Curve
+from needlefit.inference.likelihood.observations import Curve
 from needlefit.inference.likelihood.observations.curvature import require_curvature, surround_sensors
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row

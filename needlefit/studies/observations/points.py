@@ -22,7 +22,6 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, find_repeats, list_bevels
 from needlefit.geometry.curves import select_compared
 from needlefit.grouping import group_values
-from needlefit.inference.compared_points import Curve, align, draw_rolls, turn_about_x
 from needlefit.inference.curve_bands import predict_bands
 from needlefit.inference.draw_simulation import (
     DrawnNeedles,
@@ -34,13 +33,23 @@ from needlefit.inference.draw_simulation import (
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import (
     OBSERVATIONS,
+    Curve,
+    align,
+    draw_rolls,
     list_scored,
     make_observation,
     measures_tip,
+    turn_about_x,
 )
 from needlefit.inference.likelihood.observations.curvature import surround_sensors
-from needlefit.inference.point_prediction import PointPrediction, choose_point
-from needlefit.inference.predict import PredictiveMixture, crps, find_geometric_median, rms_noise_scale
+from needlefit.inference.predict import (
+    PointPrediction,
+    PredictiveMixture,
+    choose_point,
+    crps,
+    find_geometric_median,
+    rms_noise_scale,
+)
 from needlefit.inference.problem import Problem
 from needlefit.project.progress import Step
 from needlefit.project.random_streams import random_stream

@@ -23,7 +23,7 @@ from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.likelihood.observations.tip_track import follow_guide, split_directions
 from needlefit.inference.parameter_names import NOISE_SCALE
-from needlefit.inference.point_prediction import PointPrediction, choose_point
+from needlefit.inference.predict import PointPrediction, choose_point
 from needlefit.inference.problem import Problem
 from needlefit.inference.track_predictions import (
     MIN_TUNED_RUNS,

@@ -11,10 +11,14 @@ from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.errors import DataError
 from needlefit.geometry.curves import Quantity, compare_curves
-from needlefit.inference.compared_points import ComparedPoints, turn_about_x
 from needlefit.inference.likelihood.nodes import make_nodes
 from needlefit.inference.likelihood.observation import QUARTER_TURN, Observation, StatedErrors, whiten
-from needlefit.inference.likelihood.observations import ObservationType, TrueNeedle
+from needlefit.inference.likelihood.observations import (
+    ComparedPoints,
+    ObservationType,
+    TrueNeedle,
+    turn_about_x,
+)
 from needlefit.metrics import compute_metrics
 from needlefit.schemas.compared import Compared
 

@@ -20,7 +20,6 @@ from needlefit.datasets.insertion import (
 from needlefit.geometry.curves import select_compared
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.geometry.smoothing_spline import fit_matrices, make_knots
-from needlefit.inference.compared_points import rotate_to_entry_axes, turn_about_x
 from needlefit.inference.likelihood.observation import (
     Discrepancy,
     Observation,
@@ -37,6 +36,8 @@ from needlefit.inference.likelihood.observations import (
     ObservationType,
     TrueNeedle,
     has_sections,
+    rotate_to_entry_axes,
+    turn_about_x,
 )
 from needlefit.schemas.dataset import MeasurementRecord
 

@@ -13,7 +13,6 @@ from needlefit.arrays import Bools, Floats, pad_axis
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.geometry.curves import select_compared
 from needlefit.geometry.smoothing_spline import SplineSections, design_matrix, fit_matrices
-from needlefit.inference.compared_points import turn_about_x
 from needlefit.inference.likelihood.observation import (
     QUARTER_TURN,
     Observation,
@@ -24,7 +23,7 @@ from needlefit.inference.likelihood.observation import (
     pose_sds,
     split_pose_modes,
 )
-from needlefit.inference.likelihood.observations import ObservationType, TrueNeedle
+from needlefit.inference.likelihood.observations import ObservationType, TrueNeedle, turn_about_x
 
 SHARED_ERROR_LENGTH_MM = 7.5  #: length over which errors that neighbouring cross-sections share fade, mm
 #: cross-sections within so many deviations of the depth from the needle's base are left out: a depth that

@@ -11,7 +11,6 @@ from scipy.linalg import block_diag
 
 from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
-from needlefit.inference.compared_points import ComparedPoints
 from needlefit.inference.likelihood.observation import (
     Observation,
     StatedErrors,
@@ -21,7 +20,7 @@ from needlefit.inference.likelihood.observation import (
     split_pose_modes,
     whiten,
 )
-from needlefit.inference.likelihood.observations import ObservationType, TrueNeedle
+from needlefit.inference.likelihood.observations import ComparedPoints, ObservationType, TrueNeedle
 from needlefit.schemas.compared import Compared
 
 

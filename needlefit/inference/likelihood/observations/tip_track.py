@@ -14,7 +14,6 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, Pose, find_pose
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.geometry.frames import make_tracker_columns
-from needlefit.inference.compared_points import ComparedPoints, count_entry_side
 from needlefit.inference.likelihood.nodes import CARRIED, FRAME, GROUP_SLOPE, ErrorAxis, make_nodes
 from needlefit.inference.likelihood.observation import (
     Discrepancy,
@@ -24,7 +23,12 @@ from needlefit.inference.likelihood.observation import (
     points_covariance,
     whiten,
 )
-from needlefit.inference.likelihood.observations import ObservationType, TrueNeedle
+from needlefit.inference.likelihood.observations import (
+    ComparedPoints,
+    ObservationType,
+    TrueNeedle,
+    count_entry_side,
+)
 from needlefit.mechanics.batch import Jacobians, NeedleShapes
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.compared import Compared

@@ -16,7 +16,7 @@ import numpy as np
 
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.compared_points import Curve
+from needlefit.inference.doubts import examine_depths
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start
 from needlefit.inference.held_parameters import PriorShift
@@ -26,7 +26,7 @@ from needlefit.inference.identifiability.identify import (
     identify,
     profile_parameters,
 )
-from needlefit.inference.identifiability.stated_depths import examine_depths
+from needlefit.inference.likelihood.observations import Curve
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior

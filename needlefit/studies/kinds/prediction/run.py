@@ -18,14 +18,20 @@ from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
-from needlefit.inference.compared_points import draw_rolls, turn_about_x
 from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.draw_simulation import draw_entry_errors, simulate_scene_draws, vary_bevels
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.identifiability.precision import find_model_error
 from needlefit.inference.identifiability.profile import minimize_squares
-from needlefit.inference.point_prediction import PointPrediction, choose_point
-from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, estimate_end_errors, thin_posterior
+from needlefit.inference.likelihood.observations import draw_rolls, turn_about_x
+from needlefit.inference.predict import (
+    INTERVAL_PROBABILITIES,
+    Draws,
+    PointPrediction,
+    choose_point,
+    estimate_end_errors,
+    thin_posterior,
+)
 from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
 from needlefit.project.progress import no_note
