@@ -7,7 +7,7 @@ explains, but not what all share. In both the needles are linear in theta about 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
@@ -70,17 +70,25 @@ def estimate_tolerance(
     parts, replicates = zip(*_linearize(problem, stated, theta, rng), strict=True)
     bounds = problem.lower - theta, problem.upper - theta
     by_noise = by_insertions = math.nan
+    whole, sizes = _concatenate(parts), [len(part.weights) for part in parts]
+
+    def find_excess(off: Floats, times: Floats) -> float:
+        """Return the excess with other differences, of insertions that are there so many times."""
+        weights = np.repeat(times / len(parts), sizes) * whole.weights
+        return _find_excess(WeightedDistances(weights, off, whole.slopes), *bounds)
+
     drawn = [replicate for replicate in replicates if replicate is not None]
     if len(drawn) == len(parts):
-        excesses = [_find_excess(_join(parts, off), *bounds) for off in zip(*drawn, strict=True)]
+        once = np.ones(len(parts))
+        excesses = [find_excess(np.concatenate(off), once) for off in zip(*drawn, strict=True)]
         by_noise = float(np.quantile(excesses, PROBABILITY))
     _, group = np.unique(group_insertions(problem.dataset, problem.insertions), return_inverse=True)
     count = int(group.max()) + 1
     if count >= MIN_GROUPS:
         counts = rng.multinomial(count, np.full(count, 1 / count), size=REPLICATES)  # (B, G)
         times = counts[:, group]  # (B, insertions) how often each is drawn
-        off, repeats = [part.off for part in parts], times * (len(group) / times.sum(axis=1, keepdims=True))
-        excesses = [_find_excess(_join(parts, off, row), *bounds) for row in repeats]
+        repeats = times * (len(group) / times.sum(axis=1, keepdims=True))
+        excesses = [find_excess(whole.off, row) for row in repeats]
         by_insertions = float(np.quantile(excesses, PROBABILITY))
     smallest = find_search_tolerance(problem.objective(theta))
     return ErrorTolerance(by_noise, by_insertions, smallest)
@@ -99,14 +107,10 @@ def _find_excess(distances: WeightedDistances, lower: Floats, upper: Floats) -> 
     return distances.total - recorder.objective
 
 
-def _join(
-    parts: Sequence[WeightedDistances], off: Sequence[Floats], repeats: Floats | None = None
-) -> WeightedDistances:
-    """Return the mean objective of insertions, each with other differences, and so many times."""
-    times = np.ones(len(parts)) if repeats is None else repeats
-    weights = [n / len(parts) * part.weights for n, part in zip(times, parts, strict=True)]
-    slopes = np.concatenate([part.slopes for part in parts])
-    return WeightedDistances(np.concatenate(weights), np.concatenate(off), slopes)
+def _concatenate(parts: Iterable[WeightedDistances]) -> WeightedDistances:
+    return WeightedDistances(
+        *(np.concatenate(some) for some in zip(*((p.weights, p.off, p.slopes) for p in parts), strict=True))
+    )
 
 
 def _linearize(
@@ -156,10 +160,7 @@ def _join_goals(
 ) -> tuple[WeightedDistances, Floats | None]:
     """Return the distances of all that was measured of one insertion, and their replicates."""
     distances, drawn = zip(*parts, strict=True)
-    joined = (
-        np.concatenate([getattr(one, name) for one in distances]) for name in ("weights", "off", "slopes")
-    )
-    return WeightedDistances(*joined), None if any(one is None for one in drawn) else np.hstack(drawn)
+    return _concatenate(distances), None if any(one is None for one in drawn) else np.hstack(drawn)
 
 
 def _draw_errors(

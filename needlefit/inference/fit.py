@@ -245,7 +245,8 @@ class EvaluationRecorder:
         if self.reason:
             raise SearchEnded
         self.evaluations += 1
-        return np.clip(theta, self.objective_function.lower, self.objective_function.upper)
+        # a third of the time of `np.clip`
+        return np.minimum(np.maximum(theta, self.objective_function.lower), self.objective_function.upper)
 
     def _evaluate(self, function: Callable[[Floats], Value], theta: Floats) -> Value | None:
         try:

@@ -8,7 +8,7 @@ A distance |d| has a kink at 0, where it has no gradient; here it is sqrt(d^2 + 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -55,7 +55,8 @@ class WeightedDistances:
 
     def move(self, step: Floats) -> "WeightedDistances":
         """Return the distances after a step of theta (P,), to first order."""
-        return replace(self, off=self.off + (self.rows @ step).reshape(self.off.shape))
+        off = self.off + (self.rows @ step).reshape(self.off.shape)
+        return WeightedDistances(self.weights, off, self.slopes)
 
     def differentiate(self) -> Floats:
         """Return the derivatives of the objective, (P,)."""

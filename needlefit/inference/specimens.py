@@ -25,9 +25,9 @@ from typing import Self
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import expit, logsumexp
+from scipy.special import expit
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, log_sum_exp
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension
 from needlefit.inference.parameters import Parameters
@@ -280,7 +280,7 @@ class Population:
             logs = self.model.log_prior(points[some, means.shape[1] :]) + self.log_stated(means)
             for specimen in self.specimens:
                 kernels = specimen.log_densities(means, covariances)
-                logs = logs + logsumexp(kernels, axis=1) - np.log(kernels.shape[1])
+                logs = logs + log_sum_exp(kernels, axis=1) - np.log(kernels.shape[1])
             density[some] = logs
         return density
 

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, log_sum_exp
 from needlefit.inference.identifiability.precision import linearize, prior_and_noise_information
 from needlefit.inference.likelihood.marginal import stack_residuals
 from needlefit.inference.likelihood.nodes import NodeGroup
@@ -81,7 +80,7 @@ def nested_gain(
     # log p(y)
     likelihoods = predicted.log_likelihoods(outer_draws, rng)  # (O, B)
     joint = likelihoods + predicted.log_weights
-    evidence = logsumexp(joint, axis=1)
+    evidence = log_sum_exp(joint, axis=1)
     gains = likelihoods[np.arange(len(outer_draws)), outer_draws] - evidence
     after = np.exp(joint - evidence[:, None])  # (O, B)
     centred = quantities - quantities.mean(axis=0)

@@ -27,9 +27,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import gammaln, logsumexp
+from scipy.special import gammaln
 
-from needlefit.arrays import Bools, Floats
+from needlefit.arrays import Bools, Floats, log_sum_exp
 from needlefit.inference.fit import Fit
 from needlefit.inference.held_parameters import draw_held, log_prior_integral
 from needlefit.inference.identifiability.directions import UNINFORMED_SD_RATIO
@@ -72,7 +72,7 @@ def smooth_weights(log_weights: Floats) -> tuple[Floats, float]:
     cut = max(float(smoothed[order[-count - 1]]), math.log(np.finfo(float).tiny))
     tail = order[smoothed[order] > cut]
     if len(tail) < MIN_TAIL_WEIGHTS:
-        return smoothed - logsumexp(smoothed), math.inf
+        return smoothed - log_sum_exp(smoothed), math.inf
     above = np.exp(smoothed[tail]) - math.exp(cut)  # ascending
     k, scale = fit_pareto(above)
     levels = (np.arange(len(tail)) + 0.5) / len(tail)
@@ -80,7 +80,7 @@ def smooth_weights(log_weights: Floats) -> tuple[Floats, float]:
         quantiles = scale * (np.expm1(-k * np.log1p(-levels)) / k if k else -np.log1p(-levels))
     # no smoothed weight may exceed the largest raw one, which is 1 here
     smoothed[tail] = np.minimum(np.log(quantiles + math.exp(cut)), 0.0)
-    return smoothed - logsumexp(smoothed), k
+    return smoothed - log_sum_exp(smoothed), k
 
 
 def leave_out_parts(log_predictive: Floats) -> tuple[Floats, Floats]:
@@ -92,7 +92,7 @@ def leave_out_parts(log_predictive: Floats) -> tuple[Floats, Floats]:
     """
     smoothed = [smooth_weights(-part) for part in log_predictive.T]
     weights = np.column_stack([log_weights for log_weights, _ in smoothed])
-    return logsumexp(weights + log_predictive, axis=0), np.array([k for _, k in smoothed])
+    return log_sum_exp(weights + log_predictive, axis=0), np.array([k for _, k in smoothed])
 
 
 def fit_pareto(values: Floats) -> tuple[float, float]:
@@ -104,7 +104,7 @@ def fit_pareto(values: Floats) -> tuple[float, float]:
     grid = 1 / values[-1] + (1 - np.sqrt(points / (np.arange(points) + 0.5))) / (GRID_COARSENESS * quartile)
     shapes = np.mean(np.log1p(-grid[:, None] * values), axis=1)
     likelihood = n * (np.log(-grid / shapes) - shapes - 1)
-    weights = np.exp(likelihood - logsumexp(likelihood))
+    weights = np.exp(likelihood - log_sum_exp(likelihood))
     best = float(weights @ grid)
     shape = float(np.mean(np.log1p(-best * values)))
     return (n * shape + PRIOR_WEIGHTS * PRIOR_SHAPE) / (n + PRIOR_WEIGHTS), -shape / best
@@ -137,7 +137,7 @@ class StudentMixture:
 
     def log_density(self, thetas: Floats) -> Floats:
         """Return the log density (N,) at points (N, P)."""
-        return logsumexp(self._joint(thetas, self._distances(thetas)), axis=1)
+        return log_sum_exp(self._joint(thetas, self._distances(thetas)), axis=1)
 
     def _distances(self, thetas: Floats) -> Floats:
         """Return squared distances (N, M) from the centres in units of the scales."""
@@ -168,7 +168,7 @@ class StudentMixture:
         """
         squares = self._distances(thetas)
         joint = self._joint(thetas, squares)
-        belongs = weights[:, None] * np.exp(joint - logsumexp(joint, axis=1, keepdims=True))  # (N, M)
+        belongs = weights[:, None] * np.exp(joint - log_sum_exp(joint, axis=1, keepdims=True))  # (N, M)
         p = thetas.shape[1]
         # weights of the Student likelihood: points far out pull less, as in robust regression
         pulls = belongs * (DEGREES_OF_FREEDOM + p) / (DEGREES_OF_FREEDOM + squares)
@@ -177,9 +177,10 @@ class StudentMixture:
         kept = np.flatnonzero(count > p + 1)
         if not len(kept):
             return self
-        centres = (pulls[:, kept].T @ thetas) / pulls[:, kept].sum(axis=0)[:, None]
-        away = thetas[None] - centres[:, None]  # (M, N, P)
-        scales = (pulls[:, kept].T[:, None] * away.transpose(0, 2, 1)) @ away / parts[kept, None, None]
+        pulls = pulls[:, kept]
+        centres = (pulls.T @ thetas) / pulls.sum(axis=0)[:, None]
+        moved = zip(pulls.T, (thetas - centre for centre in centres), strict=True)
+        scales = np.array([(pull * away.T) @ away for pull, away in moved]) / parts[kept, None, None]
         return StudentMixture(parts[kept] / parts[kept].sum(), centres, np.linalg.cholesky(scales + least))
 
 
@@ -316,7 +317,7 @@ def resample(draws: WeightedDraws, count: int, rng: np.random.Generator) -> NDAr
 
 def compute_ess(log_weights: Floats) -> float:
     """Return the effective sample size of weighted draws, by the variance of their weights."""
-    return float(np.exp(2 * logsumexp(log_weights) - logsumexp(2 * log_weights)))
+    return float(np.exp(2 * log_sum_exp(log_weights) - log_sum_exp(2 * log_weights)))
 
 
 def sample_by_importance(
@@ -371,7 +372,7 @@ def _make_effort(
             [np.hstack([proposed, np.reshape(earlier, (len(earlier), len(new)))]), log_proposed]
         )
         # deterministic mixture: each draw against all proposals together, not only the one that drew it
-        heavy, wanted = logsumexp(proposed, axis=0), min(effort.min_ess, ADAPTED_ESS)
+        heavy, wanted = log_sum_exp(proposed, axis=0), min(effort.min_ess, ADAPTED_ESS)
         draws = _weigh(thetas, density, heavy, wanted, proposal)
         adapted = draws.certified and len(proposals) >= MIN_ROUNDS
         if adapted or len(proposals) == effort.rounds:
@@ -399,7 +400,8 @@ def _weigh(
 ) -> WeightedDraws:
     """Return draws (N, P) weighted by their density over that of all proposals and tries together, (N,)."""
     heavy = density - proposed
-    return WeightedDraws(thetas, density, *smooth_weights(heavy), min_ess, float(logsumexp(heavy)), proposal)
+    log_evidence = float(log_sum_exp(heavy))
+    return WeightedDraws(thetas, density, *smooth_weights(heavy), min_ess, log_evidence, proposal)
 
 
 EM_STEPS = 6  #: steps of expectation and maximisation between rounds
@@ -466,7 +468,7 @@ def _flatten_weights(draws: WeightedDraws, fewest: float) -> Floats:
         # the effective sample size falls as the power rises; at power 0 it is the largest possible
         power = float(brentq(missing, 0.0, 1.0, xtol=1e-3)) if missing(0.0) > 0 else 0.0
     weights = np.zeros(len(draws.thetas))
-    weights[finite] = np.exp(log_weights(power) - logsumexp(log_weights(power)))
+    weights[finite] = np.exp(log_weights(power) - log_sum_exp(log_weights(power)))
     return weights
 
 

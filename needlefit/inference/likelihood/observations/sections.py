@@ -5,6 +5,7 @@ docs/inference.md, section 2.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -12,7 +13,7 @@ from scipy.linalg import block_diag
 from needlefit.arrays import Bools, Floats, pad_axis
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.geometry.curves import select_compared
-from needlefit.geometry.smoothing_spline import SplineSections, design_matrix, fit_matrices
+from needlefit.geometry.smoothing_spline import SplineFit, SplineSections, design_matrix, fit_matrices
 from needlefit.inference.likelihood.observation import (
     QUARTER_TURN,
     Observation,
@@ -58,17 +59,27 @@ def select_sections(insertion: Insertion) -> SectionData | None:
     kept = s >= first
     s, stored = s[kept], stored.select(kept)
     places = insertion.frame.to_local(stored.points)
-    fit = fit_matrices(stored.q, stored.weights, stored.knots)
-    fade = np.exp(-np.abs(s[:, None] - s) / SHARED_ERROR_LENGTH_MM)  # (K, K)
     along = insertion.frame.rotation.T @ stored.shared_along
-    further = np.outer(along[1:], along[1:])  # of y and z
-    shared = stored.shared_sd**2 * fade
-    spread = stored.sigma**2 * fit.spread + fit.operator @ shared @ fit.operator.T
-    covariance = block_diag(spread, spread) + np.kron(further, fit.operator @ fade @ fit.operator.T)
-    shared = block_diag(shared, shared) + np.kron(further, fade)
+    arrays = (array.tobytes() for array in (s, along, stored.q, stored.weights, stored.knots))
+    fit, covariance, shared = _find_covariances(*arrays, stored.sigma, stored.shared_sd)
     by_q = fit.slope @ (fit.operator @ places)  # (K, 3)
     slope = by_q[:, 1:] / by_q[:, :1]
     return SectionData(s, places, fit.operator, covariance, shared, slope, fit.reached, stored)
+
+
+@lru_cache(maxsize=32)  # a needle that is turned or shifted has those of the needle as measured
+def _find_covariances(
+    s: bytes, along: bytes, q: bytes, weights: bytes, knots: bytes, sigma: float, shared_sd: float
+) -> tuple[SplineFit, Floats, Floats]:
+    """Return the fit of a spline, and the covariances of `SectionData`."""
+    places, (_, *further) = np.frombuffer(s), np.frombuffer(along)
+    fit = fit_matrices(*map(np.frombuffer, (q, weights, knots)))
+    fade = np.exp(-np.abs(places[:, None] - places) / SHARED_ERROR_LENGTH_MM)  # (K, K)
+    across = np.outer(further, further)  # of y and z
+    shared = shared_sd**2 * fade
+    spread = sigma**2 * fit.spread + fit.operator @ shared @ fit.operator.T
+    covariance = block_diag(spread, spread) + np.kron(across, fit.operator @ fade @ fit.operator.T)
+    return fit, covariance, block_diag(shared, shared) + np.kron(across, fade)
 
 
 @dataclass(frozen=True)
