@@ -30,12 +30,11 @@ def pad_axis(array: Floats, size: int, axis: int = -1) -> Floats:
     return padded
 
 
-def log_sum_exp(logs: Floats, axis: int = 0, *, keepdims: bool = False) -> Floats:
+def log_sum_exp(logs: Floats, axis: int = 0) -> Floats:
     """Return the logarithm of the sum of exponentials along an axis: SciPy's, in a third of its time."""
     top = logs.max(axis=axis, keepdims=True)
     is_top = logs == top
     # the largest are counted apart, for the digits of the rest
     rest = np.where(is_top, 0.0, np.exp(logs - np.where(np.isfinite(top), top, 0.0)))
-    count = is_top.sum(axis=axis, keepdims=True)
-    logs = np.log1p(rest.sum(axis=axis, keepdims=True) / count) + np.log(count) + top
-    return logs if keepdims else logs.squeeze(axis)
+    count = is_top.sum(axis=axis)
+    return np.log1p(rest.sum(axis=axis) / count) + np.log(count) + top.squeeze(axis)

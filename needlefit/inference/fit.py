@@ -192,10 +192,7 @@ class EvaluationRecorder:
 
     def gradient(self, theta: Floats) -> tuple[float, Floats]:
         """Return the value and its gradient (P,); infinity and zeros where either failed."""
-        assert self.objective_function.gradient is not None
-        point = self._begin_evaluation(theta)
-        self.gradients += 1
-        result = self._evaluate(self.objective_function.gradient, point)
+        point, result = self._differentiate(self.objective_function.gradient, theta)
         if result is None or not np.all(np.isfinite(result[1])):
             return self._record(point, None), np.zeros(len(point))
         value = self._record(point, result[0])
@@ -203,10 +200,7 @@ class EvaluationRecorder:
 
     def jacobian(self, theta: Floats) -> tuple[Floats, Floats] | None:
         """Return the residuals (R,) and their Jacobian (R, P); None where either failed."""
-        assert self.objective_function.jacobian is not None
-        point = self._begin_evaluation(theta)
-        self.gradients += 1
-        result = self._evaluate(self.objective_function.jacobian, point)
+        point, result = self._differentiate(self.objective_function.jacobian, theta)
         if result is None or not np.all(np.isfinite(result[1])):
             self._record(point, None)
             return None
@@ -215,19 +209,14 @@ class EvaluationRecorder:
 
     def distances(self, theta: Floats) -> WeightedDistances | None:
         """Return the weighted distances whose sum is the value; None where they failed."""
-        assert self.objective_function.distances is not None
-        point = self._begin_evaluation(theta)
-        self.gradients += 1
-        result = self._evaluate(self.objective_function.distances, point)
+        point, result = self._differentiate(self.objective_function.distances, theta)
         value = self._record(point, None if result is None else result.total)
         return result if math.isfinite(value) else None
 
     def find_constant(self, theta: Floats) -> bool:
         """Find the constant between value and half the sum of squares; return whether theta was solved."""
-        assert self.objective_function.jacobian is not None
-        value, point = self.value(theta), self._begin_evaluation(theta)
-        self.gradients += 1
-        result = self._evaluate(self.objective_function.jacobian, point)
+        value = self.value(theta)
+        point, result = self._differentiate(self.objective_function.jacobian, theta)
         if result is None or not math.isfinite(value) or not np.all(np.isfinite(result[0])):
             self._record(point, None)
             return False
@@ -235,6 +224,15 @@ class EvaluationRecorder:
         if np.all(np.isfinite(result[1])) and self.theta is not None and np.array_equal(point, self.theta):
             self.linearized = result
         return True
+
+    def _differentiate(
+        self, function: Callable[[Floats], Value] | None, theta: Floats
+    ) -> tuple[Floats, Value | None]:
+        """Return theta in its bounds, and what a function gives there with derivatives; None if it fails."""
+        assert function is not None
+        point = self._begin_evaluation(theta)
+        self.gradients += 1
+        return point, self._evaluate(function, point)
 
     def _begin_evaluation(self, theta: Floats) -> Floats:
         """Return a copy of theta in its bounds: rounding may have put it one digit outside."""

@@ -168,7 +168,7 @@ class StudentMixture:
         """
         squares = self._distances(thetas)
         joint = self._joint(thetas, squares)
-        belongs = weights[:, None] * np.exp(joint - log_sum_exp(joint, axis=1, keepdims=True))  # (N, M)
+        belongs = weights[:, None] * np.exp(joint - log_sum_exp(joint, axis=1)[:, None])  # (N, M)
         p = thetas.shape[1]
         # weights of the Student likelihood: points far out pull less, as in robust regression
         pulls = belongs * (DEGREES_OF_FREEDOM + p) / (DEGREES_OF_FREEDOM + squares)
