@@ -78,7 +78,7 @@ def test_every_column_comes_through_and_has_a_default(folder):
         ("scan,fiducials", "one.nrrd,placed.mrk.json", "without markers"),
         ("scan,surfaces", "one.nrrd,none.stl", "none.stl"),
         ("scan,surfaces", "one.nrrd,skin.stl=shell:2", "surfaces is 'skin.stl=shell:2'"),
-        ("scan,surfaces", "one.nrrd,all.seg.nrrd=solid:2", "all.seg.nrrd is a segmentation"),
+        ("scan,surfaces", "one.nrrd,all.seg.nrrd=solid:2", "surfaces is 'all.seg.nrrd=solid:2'"),
         ("scan,surfaces_in", "one.nrrd,room", "surfaces_in is 'room'"),
         ("scan,origin", "one.nrrd,guessed", "origin is 'guessed'"),
         ("scan,layers", "one.nrrd,two", "layers is 'two'"),

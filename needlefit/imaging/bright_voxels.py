@@ -10,7 +10,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from needlefit.arrays import Ints
-from needlefit.imaging.volume import Volume
 
 # Steps (k, j, i) to half of the neighbours of a voxel: the others meet it by the same steps.
 CORNERS = np.array(list(product((-1, 0, 1), repeat=3)))[14:]
@@ -79,7 +78,7 @@ class BrightVoxels:
                 yield np.stack(np.unravel_index(self.flat[group], self.shape)[::-1], axis=1)
 
 
-def list_bright_voxels(volume: Volume, level: float) -> BrightVoxels:
-    """Return the voxels above a level, HU."""
-    flat = np.concatenate([np.flatnonzero(s > level) + k * s.size for k, s in enumerate(volume.values)])
-    return BrightVoxels(volume.values.shape, level, flat, volume.values.reshape(-1)[flat])
+def list_bright_voxels(values: NDArray[np.float32], level: float) -> BrightVoxels:
+    """Return the voxels of values (K, J, I) above a level, HU."""
+    flat = np.concatenate([np.flatnonzero(s > level) + k * s.size for k, s in enumerate(values)])
+    return BrightVoxels(values.shape, level, flat, values.reshape(-1)[flat])

@@ -102,7 +102,6 @@ class MM:
 class PART:
     """Fractions and factors, without a unit."""
 
-    FACE_VOXELS = 0.15  # of a component on the volume's faces: more is a corner of something larger
     ELONGATION = 6.0  # length of a needle over its width, least
     WIDENING = 2.5  # width of a needle's image over its own [R]
     SEED = 1 / 3  # of a needle's least length, from which on pieces are joined

@@ -137,44 +137,28 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
     corrected = {scan.id: scan for scan in scans}
     for path in files:
         for id_, correction in read_corrections(path).items():
-            with located(path):
-                if id_ not in corrected:
-                    raise DataError(
-                        f"it corrects the scan `{id_}`, which is not among those to be reconstructed",
-                        expected=f"one of {', '.join(corrected)}",
-                        fix=(
-                            "name that scan, too; of one needle of several (--all), the "
-                            "scans.csv of their dataset"
-                        ),
-                    )
-                scan = corrected[id_]
-                if scan.corrections is not None:
-                    raise DataError(
-                        f"it corrects the scan `{id_}` a second time",
-                        expected="one list for each scan",
-                        fix="move all points in one list",
-                    )
-                if all(places is None for places in vars(correction).values()) and not scan.answered:
-                    raise DataError(
-                        f"none of the control points of `{id_}` was moved",
-                        expected=f"{', '.join(KINDS)} somewhere else than where they were found",
-                        fix=(
-                            "move those that are wrong in 3D Slicer, or remove balls that "
-                            "are none, and save it again; or confirm the entry as it is "
-                            "(--confirm entry=1)"
-                        ),
-                    )
-                if correction.balls is not None and scan.markers is None:
-                    raise DataError(
-                        "balls were moved, but the scan has no known places to lay them on",
-                        expected="the markers' known places in the world",
-                        fix="name them with --markers, or in a table of scans",
-                    )
-                if correction.entry is not None and scan.stage is not None:
-                    raise DataError(
-                        "the entry is stated by the stage (entry_x_mm ...) and was moved by hand",
-                        expected="one of both",
-                        fix="move the entry back, or empty entry_x_mm ... pose_angle_sd_deg",
-                    )
-                corrected[id_] = replace(scan, corrections=correction)
+            scan = corrected.get(id_)
+            unmoved = all(places is None for places in vars(correction).values())
+            problems = {
+                f"is not among {', '.join(corrected)}": scan is None,
+                "is corrected a second time": scan and scan.corrections,
+                "none of its control points was moved": unmoved and scan and not scan.answered,
+                "its balls were moved, but no known places of markers are stated": scan
+                and scan.markers is None
+                and correction.balls is not None,
+                "its entry was moved, but the stage (entry_x_mm ...) states it": scan
+                and scan.stage
+                and correction.entry is not None,
+            }
+            for problem in (problem for problem, is_so in problems.items() if is_so):
+                raise DataError(
+                    f"the scan `{id_}`: {problem}",
+                    expected="one list for each scan, with points that were moved or removed",
+                    fix="name that scan, too (of one needle of several the scans.csv of their dataset); move "
+                    "what is wrong in 3D Slicer, and save the list again; a right entry is confirmed "
+                    "by --confirm entry=1; of places that are stated elsewhere state one",
+                    where=path,
+                )
+            assert scan is not None
+            corrected[id_] = replace(scan, corrections=correction)
     return tuple(corrected.values())

@@ -22,15 +22,8 @@ from pydicom.uid import UID
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError, located
-from needlefit.imaging.volume import (
-    MAX_LISTED,
-    SPACINGS_MM,
-    VoxelGrid,
-    check_grid,
-    list_series_files,
-    orthogonalize,
-)
-from needlefit.project.input_files import is_file, open_regular
+from needlefit.imaging.volume import MAX_LISTED, SPACINGS_MM, VoxelGrid, check_grid, orthogonalize
+from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
 from needlefit.project.reader_process import Arrays, allow_memory
 
 # A slice may stand this far from its place on an even stack, mm: positions are written to 0.1 mm or better.
@@ -104,7 +97,8 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
     """
     images = find_series(Path(path), series)
     slices, grid = stack_slices([item for item in images if not item.is_localizer] or images)
-    allow_memory(grid.size[0] * grid.size[1] * SLICE_BYTES_PER_PIXEL + 4 * math.prod(grid.size))
+    largest = max(item.file.stat().st_size for item in slices)
+    allow_memory(grid.size[0] * grid.size[1] * SLICE_BYTES_PER_PIXEL + 4 * math.prod(grid.size) + largest)
     values = arrays["values"] = np.empty(grid.size[::-1], np.float32)
     arrays |= grid.placing
     for item, plane in zip(slices, values, strict=True):
@@ -171,6 +165,13 @@ def _damaged(file: Path, packed: str = "") -> DataError:
         fix="copy the file again, or export the series again, uncompressed",
         where=file,
     )
+
+
+def list_series_files(path: Path) -> list[Path]:
+    """Return the files that may be of a series, sorted: all in and below a folder, or those beside a file."""
+    if is_dir(path):
+        return list_files(path)
+    return sorted(file for file in path.parent.iterdir() if is_file(file) and file.name[0] != ".")
 
 
 def find_series(path: Path, series: str | None) -> list[DicomSlice]:

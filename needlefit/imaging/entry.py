@@ -66,12 +66,6 @@ def pose_from_stage(stage: StagePose, registration: Registration | None, patient
     )
 
 
-def usable_length(shaft: OutsideShaft) -> float:
-    """Return the usable length of the shaft, mm."""
-    use = shaft.s[shaft.s < -MM.BLUR_CORE]
-    return float(np.ptp(use)) if len(use) else 0.0
-
-
 def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
     """Return the pose of the axis on which the shaft was pushed; its origin is the point where that axis
     enters.
@@ -79,9 +73,10 @@ def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
     DataError if too little of the shaft shows.
     """
     use = shaft.s < -MM.BLUR_CORE
-    if usable_length(shaft) < MM.SHAFT:
+    length = float(np.ptp(shaft.s[use])) if use.any() else 0.0
+    if length < MM.SHAFT:
         raise DataError(
-            f"{usable_length(shaft):.1f} mm of the shaft show outside the tissue, too few to draw its axis",
+            f"{length:.1f} mm of the shaft show outside the tissue, too few to draw its axis",
             expected=f"at least {MM.SHAFT:g} mm, or the pose of the stage",
             fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle",
         )

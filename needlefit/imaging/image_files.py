@@ -28,10 +28,9 @@ Image = tuple[Callable[[], NDArray[Any]], VoxelGrid, int, dict[str, str]]
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 
 
-def read_image(arrays: Arrays, path: str, stored: int, labels: bool = False) -> dict[str, Any]:
+def read_image(arrays: Arrays, path: str, labels: bool = False) -> dict[str, Any]:
     """Read an image file: add "values" and "grid" to the arrays; return warnings, and texts of the header.
 
-    `stored`: bytes of the file, with that of its voxels.
     `labels`: whether the file holds labels.
 
     DataError if the file is none, is cut short, has not three dimensions, does not say in which coordinate
@@ -52,7 +51,8 @@ def read_image(arrays: Arrays, path: str, stored: int, labels: bool = False) -> 
                 "Overwrite all in the Segment Editor, and save again",
             ) from error
         check_grid(grid)
-        allow_memory(2 * math.prod(grid.size) * (voxel_bytes + 4) + stored)  # a buffer, one to convert into
+        # voxels packed, a buffer, and one to convert into
+        allow_memory(math.prod(grid.size) * (3 * voxel_bytes + 8))
         try:
             values = arrays["values"] = read()
         except (RuntimeError, OSError, EOFError, ValueError) as error:

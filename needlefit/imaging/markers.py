@@ -14,9 +14,8 @@ from scipy.spatial.distance import cdist
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.errors import DataError
-from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
+from needlefit.imaging.bright_voxels import BrightVoxels
 from needlefit.imaging.constants import HU, MM, PART, SCANNER, SD
-from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.point_spread import average_spreads
 from needlefit.imaging.reconstruction import MarkerResult
 from needlefit.imaging.registration import check_axis_signs
@@ -57,19 +56,13 @@ def _voxel_count(volume: Volume, diameter: float) -> float:
     return max(4.0, np.pi / 6 * diameter**3 / float(np.prod(volume.spacing)))
 
 
-def find_markers(
-    volume: Volume,
-    recipe: ReconstructionRecord,
-    exclude: Ints | None = None,
-    bright: BrightVoxels | None = None,
-) -> MarkerResult:
+def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None) -> MarkerResult:
     """Return the balls of `recipe.markers.diameter_mm` in a scan: as many as there are, be it none.
 
     A ball is left out that hangs together with the needle however high the threshold, or that a face of the
     volume cuts: its centre would be pulled aside.
 
     `exclude`: (N, 3); voxels i, j, k of the needle, never a marker.
-    `bright`: the bright voxels, where they were listed already.
 
     DataError if nothing in the volume is bright enough.
     """
@@ -77,16 +70,16 @@ def find_markers(
     diameter, given = rules.diameter_mm, rules.threshold_hu
     levels = [] if given is None else [given]
     if not levels:  # levels up to the brightest voxel
-        start, top = median_tissue_hu(volume), float(volume.values.max())
+        start, top = volume.tissue, float(volume.values.max())
         number = int(np.log(max((top - start) / HU.METAL_CONTRAST, 1.0)) / np.log(LEVEL_RATIO)) + 1
         levels = [start + HU.METAL_CONTRAST * LEVEL_RATIO**n for n in range(number)]
-    listed = bright if bright and bright.level <= levels[0] else list_bright_voxels(volume, levels[0])
-    while len(levels) > 1 and np.count_nonzero(listed.values > levels[0]) > MAX_BRIGHT_VOXELS:
-        levels = levels[1:]
+    listed = volume.list_bright(levels[0])
     wanted = _voxel_count(volume, PART.BALL_DIAMETERS[0] * diameter)
-    if not wanted <= (count := np.count_nonzero(listed.values > levels[0])) <= MAX_BRIGHT_VOXELS:
+    counts = {level: np.count_nonzero(listed.values > level) for level in levels}
+    levels = [level for level, count in counts.items() if wanted <= count <= MAX_BRIGHT_VOXELS]
+    if not levels:
         raise DataError(
-            f"{count} voxels exceed {levels[0]:.0f} HU",
+            "; ".join(f"{count} voxels exceed {level:.0f} HU" for level, count in counts.items()),
             expected=(
                 f"the {wanted:.0f} voxels or more of a ball of {diameter:g} mm, and no "
                 f"more than {MAX_BRIGHT_VOXELS:.0g} in all"
@@ -130,12 +123,6 @@ def find_markers(
         candidates=seen,
         spread=average_spreads([ball.spread for ball in balls]),
     )
-
-
-CANDIDATE_FIX = (
-    "correct markers.diameter_mm, raise markers.max_misfit if the balls named are the markers, or place "
-    "fiducials by hand"
-)
 
 
 def is_list_of_points(path: Path) -> bool:

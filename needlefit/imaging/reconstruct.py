@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from needlefit.geometry.crossings import find_surface_hits, measure_enclosed_len
 from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, normalize
 from needlefit.geometry.surfaces import Surface, find_nearest
-from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.constants import HU, MM, PART, SD
 from needlefit.imaging.entry import (
     EntryCandidate,
@@ -34,24 +32,16 @@ from needlefit.imaging.entry import (
     move_to_surface,
     pose_from_shaft,
     pose_from_stage,
-    usable_length,
 )
 from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
-from needlefit.imaging.markers import (
-    CANDIDATE_FIX,
-    find_markers,
-    is_list_of_points,
-    read_markers,
-    refine_fiducials,
-)
+from needlefit.imaging.markers import find_markers, is_list_of_points, read_markers, refine_fiducials
 from needlefit.imaging.materials import find_rises, list_materials, sample_profile
-from needlefit.imaging.needle.centerline import Centerline, refuse_fold, trace_needle
+from needlefit.imaging.needle.centerline import Centerline, project_point, refuse_fold, trace_needle
 from needlefit.imaging.needle.follow import follow_points, read_mask_points, select_axis_voxels
 from needlefit.imaging.needle.segmentation import (
     Component,
     NeedleSelection,
     find_tubes,
-    median_tissue_hu,
     principal_axes,
     select_needle,
 )
@@ -61,17 +51,10 @@ from needlefit.imaging.reconstruction import (
     IntensityProfile,
     Layers,
     MarkerResult,
-    MaterialRun,
     Reconstruction,
     render_views,
 )
-from needlefit.imaging.registration import (
-    FOUND_SET,
-    KNOWN_SET,
-    Registration,
-    predict_mean_target_error,
-    register,
-)
+from needlefit.imaging.registration import Registration, predict_mean_target_error, register
 from needlefit.imaging.scans import Corrections, Scan
 from needlefit.imaging.volume import (
     Volume,
@@ -239,10 +222,8 @@ def refuse_tunnels(surfaces: Sequence[Surface], needle: Floats) -> None:
         )
 
 
-def check_layers(
-    scan: Scan, layers: Layers, points: Floats, frame: Frame, passed: Sequence[MaterialRun]
-) -> Iterator[str]:
-    """Yield warnings about layers that a needle (N, 3), world, does not cross, or not where the scan changes.
+def check_layers(scan: Scan, layers: Layers, points: Floats) -> Iterator[str]:
+    """Yield warnings about layers that a needle (N, 3), world, does not cross.
 
     DataError if somebody counted the layers and these are not as many.
     """
@@ -255,19 +236,6 @@ def check_layers(
         away = [f"{one.name} ({find_nearest(points, [one])[0].min():.1f} mm away)" for one in missed]
         yield f"the needle does not cross {', '.join(away)}: LPS, RAS?"
     crossed = [f"{depth:.2f}" for depth in layers.boundaries]
-    soft = [(before, run) for before, run in pairwise(passed) if before.kind == run.kind == "soft"]
-    arcs = [run.begin for _, run in soft if run.begin > 0]
-    steps = np.interp(arcs, arc_length(points), frame.to_local(points)[:, 0])
-    allowed = np.maximum(MM.MATCH, SD.DISAGREEMENT * layers.sd)
-    near = np.abs(np.subtract.outer(layers.boundaries, steps)) <= allowed[:, None]
-    shown, explained = np.any(near, axis=1), np.any(near, axis=0)
-    if not shown.all() and not explained.all():
-        off = [f"{depth:.2f}" for depth in layers.boundaries[~shown]]
-        yield (
-            f"layers begin {', '.join(off)} mm deep, where the scan shows no change of brightness; it shows "
-            f"one at {', '.join(f'{at:.2f}' for at in steps[~explained])} mm: check unit, scale and frame of "
-            "the surfaces"
-        )
     counted = {number for number in (scan.layers, scan.layers_alternative) if number is not None}
     if counted and (count := len(layers.sequence)) not in counted:
         expected = " or ".join(map(str, sorted(counted)))
@@ -366,14 +334,7 @@ class VolumeSearch:
     @cached_property
     def tubes(self) -> list[Component]:
         """The components that may be the needle; DataError as `segmentation.find_tubes`."""
-        return find_tubes(self.volume, self.recipe, self.bright)
-
-    @cached_property
-    def bright(self) -> BrightVoxels:
-        """The bright voxels, in which needle and balls are looked for."""
-        return list_bright_voxels(
-            self.volume, median_tissue_hu(self.volume) + min(PART.THRESHOLDS) * HU.CLIPPED
-        )
+        return find_tubes(self.volume, self.recipe)
 
 
 def estimate_first_contact(
@@ -401,11 +362,9 @@ def estimate_first_contact(
     if stage is None:
         shaft = move_to_surface(pose_from_shaft(outside, along_sd), surfaces)
         return shaft, shaft
-    if usable_length(outside) < MM.SHAFT:
-        return stage, None
-    other = pose_from_shaft(outside, along_sd)
-    compare_poses(stage, other)
-    return stage, other
+    with suppress(DataError):  # too little of it shows
+        return stage, pose_from_shaft(outside, along_sd)
+    return stage, None
 
 
 def _locate_tissue(
@@ -418,22 +377,18 @@ def _locate_tissue(
     """
     contact = (found.scan.corrections or Corrections()).entry
     if contact is not None:
-        points = found.axis.points
-        s = arc_length(points)
-        fine = np.arange(0.0, s[-1], 0.05)
-        away = np.linalg.norm(interpolate_at_arc(points, fine) - contact, axis=1)
-        beyond = float((contact - points[-1]) @ normalize(points[-1] - points[-2]))
-        off = f"{beyond:.1f} mm beyond its tip" if beyond > 0 else ""
-        if away.min() > MAX_START_DISTANCE_MM:
-            off = f"{away.min():.1f} mm beside the needle"
-        if off:
+        length = arc_length(found.axis.points)[-1]
+        dense = interpolate_at_arc(found.axis.points, np.arange(0.0, length, 0.05))
+        place, beside = project_point(dense, contact)
+        if place > length or beside > MAX_START_DISTANCE_MM:
             raise DataError(
-                f"the first contact that was placed lies {off}",
+                f"the first contact that was placed lies {beside:.1f} mm beside the needle, "
+                f"{abs(place - length):.1f} mm {'beyond' if place > length else 'before'} its tip",
                 expected=f"a point within {MAX_START_DISTANCE_MM:g} mm of the needle, before its tip, LPS",
                 fix="place it on the needle; RAS has x and y of the other sign",
                 where="entry of the corrections",
             )
-        return EntryCandidate(float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm)
+        return EntryCandidate(place, recipe.entry.placed_contact_sd_mm)
     hits = [find_surface_hits(found.world, surface) for surface in surfaces if surface.into == 1]
     own = np.concatenate([np.empty(0), *hits])
     if len(own):
@@ -502,7 +457,7 @@ def derive_reconstruction(
         replace(run, begin=run.begin - begin, end=run.end - begin)
         for run in list_materials(found.brightness, float(along[-1]))
     )
-    notes = [*check_layers(scan, layers, points, frame, passed)]
+    notes = [*check_layers(scan, layers, points)]
     one = Reconstruction(
         scan=scan,
         spacing=grid.spacing,
@@ -577,11 +532,11 @@ def examine(
         if placed is not None:
             balls = MarkerResult(np.empty((0, 3)), np.empty(0), "volume")
             with suppress(DataError):  # landmarks, not metal
-                balls = find_markers(volume, recipe, voxels, search.bright)
+                balls = find_markers(volume, recipe, voxels)
             with located(where):
                 found.markers = refine_fiducials(placed, volume, recipe, balls)
         elif scan.markers is not None:
-            found.markers = find_markers(volume, recipe, voxels, search.bright)
+            found.markers = find_markers(volume, recipe, voxels)
     with found.step("axis and tip"):
         if selection is not None:
             spread = None if found.markers is None else found.markers.spread
@@ -595,12 +550,9 @@ def examine(
                 sd = recipe.markers.reference_sd_mm
                 found.registration = register(markers.centers, places, markers.sd, sd)
             except DataError as error:
-                if error.where == KNOWN_SET:
-                    raise error.at(scan.markers) from None
-                seen = error.where == FOUND_SET
-                what = f"{error.what}: {markers.candidates}" if seen else error.what
-                fix = f"{error.fix}; {CANDIDATE_FIX}" if seen else error.fix
-                raise DataError(what, where=error.where, expected=error.expected, fix=fix) from None
+                words = f"{error.what}; {markers.candidates}"
+                fix = f"{error.fix}; correct markers.diameter_mm, raise markers.max_misfit or place fiducials"
+                raise error.replace(what=words, fix=fix) from None
     if found.needle_axis is not None:
         needle = found.needle_axis.points
         # over four stations: the last step alone is too noisy a direction

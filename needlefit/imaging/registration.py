@@ -2,8 +2,8 @@
 
 All pairings whose distances the stated noise allows are aligned; the likeliest is kept if it fits and no
 other is nearly as likely. Two pairings of as many pairs differ in likelihood by exp(-chi2 / 2). The motion is
-a rotation and a translation. A reflection is looked for only to name it in an error. RAS read as LPS is a
-turn, which only another set of markers in the same frame shows (`check_axis_signs`).
+a rotation and a translation; a reflection that fits more markers is refused. RAS read as LPS is a turn,
+which only another set of markers in the same frame shows (`check_axis_signs`).
 
 A small motion theta = (turn, shift) about a centre c moves a world point p by J theta, J = [-[p - c]x, I].
 Markers i of deviations sigma_i give to first order
@@ -29,9 +29,6 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import AXIS_SIGNS, Frame
 from needlefit.imaging.constants import PART, SD
 
-# Location named in errors of a single set.
-FOUND_SET = "markers found in the scan"
-KNOWN_SET = "known markers"
 # Probability that the noise as stated makes the right pairing look too bad to be believed.
 FALSE_ALARM_PROBABILITY = 1e-4
 MAX_WRONG_PAIRING_PROBABILITY = 1e-3  # of another pairing that is tolerated
@@ -39,9 +36,6 @@ MAX_WRONG_PAIRING_PROBABILITY = 1e-3  # of another pairing that is tolerated
 MIN_CHI2_GAP = 2 * np.log(1 / MAX_WRONG_PAIRING_PROBABILITY)
 MAX_PAIRINGS = 50_000  # pairings that are kept at once; beyond, the markers are too alike or too many
 MAX_TURN_SD_RAD = 0.1  # deviation of a turn, rad, from which on the markers count as lying on a line
-LAYOUT_FIX = (
-    "look at the markers that were found; check the known ones, their unit and the spacing of the voxels (mm)"
-)
 
 
 @dataclass(frozen=True)
@@ -75,7 +69,7 @@ def register(
     likely.
     """
     here, there = (np.asarray(given, dtype=np.float64).reshape(-1, 3) for given in (found, known))
-    for points, name in ((here, FOUND_SET), (there, KNOWN_SET)):
+    for points, name in ((here, "markers found in the scan"), (there, "known markers")):
         if len(points) < 3:
             raise DataError(
                 f"{len(points)} markers are too few",
@@ -108,7 +102,14 @@ def register(
             fix="move or add a marker so that no two distances are alike",
             where="markers",
         )
-    return replace(best, known=len(there), warnings=tuple(_list_warnings(here, there, best)))
+    single = {
+        f"{kind} markers without a partner": np.setdiff1d(np.arange(len(points)), best.pairs[:, side])
+        for side, (kind, points) in enumerate((("found", here), ("known", there)))
+    }
+    listed = [
+        f"{name}: {', '.join(map(str, left))} (counted from 0)" for name, left in single.items() if len(left)
+    ]
+    return replace(best, known=len(there), warnings=tuple(listed))
 
 
 def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registration]:
@@ -121,7 +122,7 @@ def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registr
     # three among many agree by chance, unless one of the sets has no more
     least = max(4, int(np.ceil(PART.PAIRED * most)))
     changes = cdist(found, found)[:, None, :, None] - cdist(known, known)[:, None]
-    for count in (most, *range(most - 1, least - 1, -1)):
+    for count in range(most, min(most, least) - 1, -1):
         limit = float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))  # that a right pairing hardly exceeds
         # two pairs of variances v that change a distance by D cost at least D^2 / (v_1 + v_2) in chi-squared
         near = changes**2 <= (limit + MIN_CHI2_GAP) * (variance[..., None, None] + variance)  # (M, N, M, N)
@@ -145,15 +146,15 @@ def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registr
             raise DataError(
                 f"the markers are mirrored: {count} fit reflected, fewer as they are",
                 expected="a scan of the same handedness as the world",
-                fix="one axis of the scan or of the known markers has the wrong sign: look at the direction "
-                "of the slices and at the coordinate system of the markers' file",
+                fix="look at the direction of the slices and at the coordinate system of the markers' file",
                 where="markers",
             )
     raise DataError(
         f"no pairing of the {len(found)} found with the {len(known)} known markers fits within "
         f"{np.sqrt(np.median(variance)):.2f} mm",
         expected="three or more markers at distances as in the world, more if some are missing",
-        fix=f"{LAYOUT_FIX}; state larger deviations",
+        fix="look at the markers that were found; check the known ones, their unit, signs of axes and the "
+        "spacing of the voxels (mm); state larger deviations",
         where="markers",
     )
 
@@ -197,18 +198,6 @@ def align(found: Floats, known: Floats, variance: Floats, pairs: Ints) -> Regist
         # of points on a line, which are refused later, one turn is not known at all
         covariance=np.linalg.inv(np.einsum("nia,n,nib->ab", moved, weights, moved) + 1e-12 * np.eye(6)),
     )
-
-
-def _list_warnings(found: Floats, known: Floats, best: Registration) -> Iterator[str]:
-    """Yield the warnings about a pairing."""
-    listed, missing = (
-        ", ".join(map(str, np.setdiff1d(np.arange(len(points)), best.pairs[:, n]).tolist()))
-        for n, points in enumerate((found, known))
-    )
-    if listed:
-        yield f"found markers {listed} (counted from 0) belong to no known one"
-    if missing:
-        yield f"known markers {missing} (counted from 0) were not found"
 
 
 def motion_jacobian(arms: ArrayLike) -> Floats:

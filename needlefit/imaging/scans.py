@@ -1,6 +1,5 @@
 """Define one scan of an inserted needle, and read and write the tables whose rows state them."""
 
-import difflib
 import math
 import os
 import re
@@ -234,15 +233,11 @@ def parse_layer_source(text: str, folder: Path) -> LayerSource:
             f"FILE, FILE=sheet:2, FILE=solid:3 or FILE=segments:NAME,NAME; there is no file {path}"
         )
     is_mesh = path.suffix.lower() in MESH_SUFFIXES
-    if not is_mesh and not path.name.lower().endswith(SEGMENTATION_SUFFIXES):
+    is_segmentation = path.name.lower().endswith(SEGMENTATION_SUFFIXES)
+    if not (is_mesh or is_segmentation) or stated["names" if is_mesh else "kind"]:
         raise ValueError(
-            f"a mesh ({', '.join(MESH_SUFFIXES)}) or a segmentation ({', '.join(SEGMENTATION_SUFFIXES)}), as "
-            "3D Slicer saves them"
-        )
-    if stated["names" if is_mesh else "kind"]:
-        raise ValueError(
-            f"sheet:2 or solid:3 behind a mesh, segments:NAME,NAME behind a segmentation; {path.name} is a "
-            f"{'mesh' if is_mesh else 'segmentation'}"
+            f"a mesh ({', '.join(MESH_SUFFIXES)}), with or without =sheet:2 or =solid:3, or a segmentation "
+            f"({', '.join(SEGMENTATION_SUFFIXES)}), with or without =segments:NAME,NAME"
         )
     names = tuple(name for part in (stated["names"] or "").split(",") if (name := part.strip()))
     kind: SurfaceKind = "sheet" if stated["kind"] == "sheet" else "solid"
@@ -301,29 +296,26 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
             where=f"{path}:1",
         )
     for name in (name for name in cells if name not in SCAN_COLUMNS):
-        near = difflib.get_close_matches(str(name), SCAN_COLUMNS, n=1, cutoff=0.5)
         faults.append(
             DataError(
                 f"column `{name}` is unknown",
                 expected=f"one of {', '.join(SCAN_COLUMNS)}",
-                fix=f"did you mean `{near[0]}`?" if near else "remove the column, or correct its name",
+                fix="remove the column, or correct its name",
                 where=f"{path}:1",
             )
         )
     rows = cells[[name for name in cells if name in SCAN_COLUMNS]].to_dict("records")
     places = [table.where(n) for n in range(len(rows))]
-    markers = [bool(row.get("markers")) for row in rows]
-    if any(markers):  # the worlds of the others would be others
-        faults += [
+    unmarked = [place for row, place in zip(rows, places, strict=True) if not row.get("markers")]
+    if 0 < len(unmarked) < len(rows):  # the worlds of the others would be others
+        faults.append(
             DataError(
                 "`markers` is empty, but other scans have some",
                 expected="one world for all: markers for every scan, or for none",
                 fix="add the markers' places, or put this scan into a table of its own",
-                where=place,
+                where=unmarked[0],
             )
-            for place, marked in zip(places, markers, strict=True)
-            if not marked
-        ]
+        )
     return _build_scans(rows, places, path, path.parent, faults)
 
 

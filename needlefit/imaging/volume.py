@@ -16,8 +16,9 @@ from scipy.ndimage import map_coordinates
 from needlefit.arrays import Floats, Ints, are_bounded
 from needlefit.errors import DataError
 from needlefit.geometry.frames import to_unit
+from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.constants import HU, PART
-from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
+from needlefit.project.input_files import open_regular
 from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_bytes
 
 # Largest volume that is read, 1024^3: 4 GB in memory, unless the user states another size.
@@ -164,13 +165,6 @@ READABLE_VOLUMES = (
 )
 
 
-def list_series_files(path: Path) -> list[Path]:
-    """Return the files that may be of a series, sorted: all in and below a folder, or those beside a file."""
-    if is_dir(path):
-        return list_files(path)
-    return sorted(file for file in path.parent.iterdir() if is_file(file) and file.name[0] != ".")
-
-
 def begins_as_dicom(path: Path) -> bool:
     """Return whether a file begins like a DICOM file: with a preamble of 128 bytes, and its name."""
     with open_regular(path, sys.maxsize) as content:
@@ -204,6 +198,21 @@ class Volume:
         """The grid of the voxels."""
         slices, rows, columns = self.values.shape
         return VoxelGrid((columns, rows, slices), self.origin, self.spacing, self.direction)
+
+    @cached_property
+    def tissue(self) -> float:
+        """The median of all voxels that are not air, HU, from every third voxel along each axis."""
+        some = self.values[::3, ::3, ::3]
+        dense = some[some > HU.LIGHT]
+        return float(np.median(dense if dense.size > some.size / 100 else some))
+
+    @cached_property
+    def _bright(self) -> BrightVoxels:
+        return list_bright_voxels(self.values, self.tissue + min(PART.THRESHOLDS) * HU.CLIPPED)
+
+    def list_bright(self, level: float) -> BrightVoxels:
+        """Return the voxels above a level, HU, and others where those were listed before."""
+        return self._bright if self._bright.level <= level else list_bright_voxels(self.values, level)
 
     @cached_property
     def resampled_top(self) -> float | None:

@@ -1,6 +1,5 @@
 """Read CT volumes: DICOM series, NRRD, NIfTI and MetaImage files, and ZIP archives of them."""
 
-import os
 import sys
 import zipfile
 from collections.abc import Iterator
@@ -19,13 +18,11 @@ from needlefit.imaging.volume import (
     READABLE_VOLUMES,
     Volume,
     begins_as_dicom,
-    list_series_files,
     max_voxels,
 )
-from needlefit.project.input_files import is_file, list_files, open_regular, path_exists, unreadable_error
+from needlefit.project.input_files import MAX_FOLDER_FILES, list_files, open_regular, path_exists
 from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process
 
-MAX_MEMBERS = 50_000  # files in an archive
 CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
 READ_SECONDS = 600.0  # of the processor, within which a file must be read: a damaged one may never end
 
@@ -50,17 +47,9 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
                 fix = "leave out series"
                 raise DataError("it is one image", expected="a DICOM series", fix=fix, where=path)
             return _read_image(place, labels=False)[0]
-        if not place.is_dir():
-            with open_regular(place, sys.maxsize):  # a regular file
-                pass
-        try:
-            sizes = [file.stat().st_size for file in list_series_files(place)]
-        except OSError as fault:
-            folder = place if place.is_dir() else place.parent
-            raise unreadable_error(fault, DataError, str(folder)) from None
         arguments = {"path": str(place), "series": series}
         reader = "needlefit.imaging.dicom:read_series"
-        notes, arrays = read_in_process(reader, place, arguments, max(sizes, default=0), READ_SECONDS)
+        notes, arrays = read_in_process(reader, place, arguments, seconds=READ_SECONDS)
         return Volume(**arrays, warnings=tuple(notes))
 
 
@@ -98,7 +87,7 @@ def unpack_scan(_arrays: Arrays, path: str, folder: str, total_bytes: int) -> No
         size = sum(member.file_size for member in members)
         problems = {
             f"unpacks to more than {total_bytes / 2**20:.0f} MiB": size > total_bytes,
-            f"holds {len(members)} files": len(members) > MAX_MEMBERS,
+            f"holds {len(members)} files": len(members) > MAX_FOLDER_FILES,
             "is encrypted": any(member.flag_bits & 1 for member in members),
         }
         for problem in (problem for problem, is_so in problems.items() if is_so):
@@ -142,11 +131,9 @@ def is_image_file(place: Path) -> bool:
 
 def _read_image(path: Path, labels: bool) -> tuple[Volume, dict[str, str]]:
     """Return the volume in an image file, and texts of its header."""
-    with open_regular(path, sys.maxsize) as file:
-        stored = file.seek(0, os.SEEK_END)
-    if path.suffix.lower() in (".nhdr", ".mhd"):  # its voxels are in another file beside it
-        stored = sum(one.stat().st_size for one in path.parent.iterdir() if is_file(one))
-    arguments = {"path": str(path), "stored": stored, "labels": labels}
+    with open_regular(path, sys.maxsize):  # no device or pipe, at which a library would wait
+        pass
+    arguments = {"path": str(path), "labels": labels}
     reader = "needlefit.imaging.image_files:read_image"
     header, arrays = read_in_process(reader, path, arguments, seconds=READ_SECONDS)
     arrays["values"] = arrays["values"].astype(np.float32, copy=False)

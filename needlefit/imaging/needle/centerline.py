@@ -7,6 +7,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
+from needlefit.geometry.frames import to_unit
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import (
@@ -140,13 +141,15 @@ def refuse_fold(points: Floats) -> None:
 
 
 def _project_tip(axis: AxisSpline, tip: Floats) -> tuple[float, float]:
-    """Return where along the axis, or its tangent, a placed tip (3,) lies, and how far beside it, mm."""
-    s = np.arange(0.0, axis.length, 0.05)
-    at = float(s[np.argmin(np.linalg.norm(axis.spline(s) - tip, axis=1))])
-    frame = axis_frames(axis, np.array([at]))
-    away = tip - frame.origins[0]
-    along = float(away @ frame.tangents[0])
-    return at + along, float(np.linalg.norm(away - along * frame.tangents[0]))
+    return project_point(axis.spline(np.arange(0.0, axis.length, 0.05)), tip)
+
+
+def project_point(points: Floats, place: Floats) -> tuple[float, float]:
+    """Return where along a dense curve (N, 3), or a tangent, a place (3,) lies, and how far beside it, mm."""
+    n = int(np.argmin(np.linalg.norm(points - place, axis=1)))
+    way = to_unit(points[min(n + 1, len(points) - 1)] - points[max(n - 1, 0)])
+    along = float((place - points[n]) @ way)
+    return float(arc_length(points)[n]) + along, float(np.linalg.norm(place - points[n] - along * way))
 
 
 def refine_axis(

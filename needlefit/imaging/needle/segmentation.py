@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.errors import DataError
-from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import FEWEST, ROUNDS, AxisSpline
 from needlefit.imaging.volume import Volume, to_patient
@@ -68,13 +67,10 @@ class Component:
     length: float  # extent along the main axis, mm
     width: float  # diameter of a rod of this length and as many voxels, mm
     bend: float  # root mean square distance from the parabola that fits best, mm
-    on_face: float  # part of the voxels that lie on the volume's faces
     beside: Floats  # (N, 2); of the voxels beside that parabola, mm
 
 
-def find_tubes(
-    volume: Volume, recipe: ReconstructionRecord, bright: BrightVoxels | None = None
-) -> list[Component]:
+def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
     """Return the components that may be the needle, the longest first.
 
     They are those of the first threshold that shows one. Each has the pieces that lie on its curve, which
@@ -83,7 +79,7 @@ def find_tubes(
     DataError if nothing is as bright as metal, or no component is a tube.
     """
     for low, high in list_thresholds(volume, recipe):
-        parts = cut_components(volume, find_components(volume, low, high, bright), recipe)
+        parts = cut_components(volume, find_components(volume, low, high), recipe)
         parts.sort(key=lambda part: part.length, reverse=True)
         left, joined = [part for part in parts if is_tube(part, recipe, PART.SEED)], list[Component]()
         while left:
@@ -96,7 +92,7 @@ def find_tubes(
     raise DataError(
         f"no needle was found; the longest bright object is {largest.length:.1f} mm "
         f"long, {largest.width:.1f} mm wide, {largest.bend:.1f} mm (RMS) off a "
-        f"parabola{', and cut by the edge of the scan' * (largest.on_face > 0)}",
+        "parabola",
         expected=f"{MM.NEEDLE_LENGTH:g} mm or longer, at most {width:.1f} mm wide, {width / 2:.1f} mm off",
         fix=(
             "give a scan with more of the needle and its tip; or set needle.diameter_mm in "
@@ -155,8 +151,9 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
     Tissue is the median of what is not air; metal the level that as many voxels reach as the shortest
     needle fills.
     """
-    tissue = median_tissue_hu(volume)
-    bright = np.concatenate([s[s > tissue + HU.METAL_CONTRAST] for s in volume.values])
+    tissue = volume.tissue
+    listed = volume.list_bright(tissue + HU.METAL_CONTRAST).values
+    bright = listed[listed > tissue + HU.METAL_CONTRAST]
     rod = np.pi / 4 * recipe.needle.diameter_mm**2 * MM.NEEDLE_LENGTH
     wanted = max(FEWEST, int(rod / float(np.prod(volume.spacing)) / 2))
     if len(bright) < wanted:
@@ -172,18 +169,14 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
     return [(tissue + height, tissue + 1.25 * height) for height in heights]
 
 
-def find_components(
-    volume: Volume, low: float, high: float, bright: BrightVoxels | None = None
-) -> list[Component]:
+def find_components(volume: Volume, low: float, high: float) -> list[Component]:
     """Return the components above `low` that somewhere exceed `high` (HU), with their measures.
 
     DataError if no voxel exceeds `high`.
     """
-    if bright is None or bright.level > low:
-        bright = list_bright_voxels(volume, low)
     parts = [
         measure_component(volume, ijk)
-        for ijk in bright.list_parts(low, (FEWEST, np.inf), corners=True)
+        for ijk in volume.list_bright(low).list_parts(low, (FEWEST, np.inf), corners=True)
         if np.any(volume.values[tuple(ijk.T[::-1])] > high)
     ]
     if not parts:
@@ -200,7 +193,6 @@ def is_tube(part: Component, recipe: ReconstructionRecord, share: float = 1.0) -
         part.length >= share * max(MM.NEEDLE_LENGTH, PART.ELONGATION * part.width)
         and part.width <= width
         and part.bend <= width / 2
-        and part.on_face <= PART.FACE_VOXELS
     )
 
 
@@ -227,16 +219,8 @@ def measure_component(volume: Volume, voxels: Ints) -> Component:
     off = local[:, 1:] - np.stack([np.polyval(c, local[:, 0]) for c in curve.T], axis=1)
     bend = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
     width = float(np.sqrt(4 * len(voxels) * voxel / (np.pi * length)))
-    on_face = float(np.mean(np.any((voxels == 0) | (voxels == np.array(volume.grid.size) - 1), axis=1)))
     values = volume.values[tuple(voxels.T[::-1])].astype(np.float64)
-    return Component(voxels, points, values, length, width, bend, on_face, off)
-
-
-def median_tissue_hu(volume: Volume) -> float:
-    """Return the median of all voxels that are not air (HU), from every third voxel along each axis."""
-    some = volume.values[::3, ::3, ::3]
-    dense = some[some > HU.LIGHT]
-    return float(np.median(dense if dense.size > some.size / 100 else some))
+    return Component(voxels, points, values, length, width, bend, off)
 
 
 @dataclass(frozen=True)
