@@ -20,8 +20,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
 from state_figure import StateFigure, fit_height
 
-from needlefit.datasets.importing.examples import WORKBOOK_FILE
 from needlefit.datasets.importing.meanings import VALUES
+from needlefit.datasets.importing.prepare import WORKBOOK_FILE
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import compute_positions

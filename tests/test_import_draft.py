@@ -51,7 +51,7 @@ def test_headers_are_known_in_five_languages():
 @pytest.mark.parametrize(("text", "unit", "angle"), WORDS["bevels"])
 def test_a_bevel_is_understood_or_refused(text, unit, angle):
     """It is never a default."""
-    cell = Stated(translate_side(text, unit), unit.replace("clock", ""), "a.csv:2")
+    cell = Stated("bevel_side", translate_side(text, unit), unit.replace("clock", ""), "a.csv:2")
     if angle == "none":
         assert refusal(DataError, "bevel_side", cell.to_angle).where == "a.csv:2"
     else:
@@ -180,6 +180,9 @@ def test_tables_are_read_as_they_are_meant(tmp_path, case):
         assert getattr(plan.rows[0], name) == pytest.approx(right)
     for name, right in case.get("needle", {}).items():
         assert getattr(plan.needle, name) == pytest.approx(right) and not plan.needles
+    if "last" in case:
+        ends = [curve.line[-1] for curve in prepared.content.curves]
+        np.testing.assert_allclose(ends, case["last"], atol=1e-3)
     if "moduli" in case:
         needles = [plan.needles.get(row.needle, plan.needle) for row in plan.rows]
         assert [one.youngs_modulus_gpa for one in needles] == case["moduli"]
@@ -311,27 +314,13 @@ def test_a_needle_that_bends_along_what_was_not_measured_is_refused(tmp_path, po
     refusal(DataError, "n3", write, [12, 6, 3], 0)
 
 
-def test_headers_may_stand_in_the_first_column(tmp_path):
-    rows = [[f"{axis} [mm]", *NEEDLES[0][:, n]] for n, axis in enumerate("xyz")]
-    curves, draft = curves_of([write_rows(tmp_path / "b.csv", rows)])
-    assert draft.tables[0]["transposed"]
-    np.testing.assert_allclose(curves["b"].line, NEEDLES[0])
-
-
-def test_columns_beside_a_depth_and_tables_of_layers_are_asked_about(tmp_path):
+def test_columns_beside_a_depth_are_asked_about(tmp_path):
     rows = [["depth [mm]", "A", "B"], *([x, 1e-3 * x**2, -1e-3 * x**2] for x in range(5, 45, 5))]
     file = write_rows(tmp_path / "a.csv", rows)
     fix = refusal(DataError, "deflection", prepare, [file]).fix
     assert "--set deflection.column=A, or" in fix and "--set 'deflection.column=A|B'" in fix
     curves, _ = curves_of([file], deflection__column="A|B")
     assert [one.line[-1].tolist() for one in curves.values()] == [[40, 1.6, 0], [40, -1.6, 0]]
-    for head, rows in (("thickness", [[1, 20], [2, 15]]), ("boundary [cm]", [[1, 2], [2, 3.5]])):
-        paths = [write_long(tmp_path, NEEDLES), write_rows(tmp_path / "l.csv", [["layer", head], *rows])]
-        assert planned(paths)[0].boundaries_mm == {"medium1": (20.0, 35.0)}
-        assert planned(paths, unused='["l.csv"]')[0].boundaries_mm == {"medium1": ()}
-    paths = [write_long(tmp_path, NEEDLES), write_rows(tmp_path / "l.csv", [["layer", "name"], [1, "gel"]])]
-    assert "--set boundaries" in refusal(DataError, "layer, name", prepare, paths).fix
-    assert planned(paths, boundaries="20")[0].boundaries_mm == {"medium1": (20.0,)}
 
 
 @pytest.mark.parametrize(
@@ -375,25 +364,6 @@ def write_plane(path, head, cells=lambda k: (), columns=lambda s, y: (s, y)):
     return write_rows(path, [head, *rows])
 
 
-@pytest.mark.parametrize(
-    ("head", "columns"),
-    [
-        (["needle", "z", "y"], lambda s, y: (s, y)),
-        (["needle", "y", "z"], lambda s, y: (s, y)),
-        (["needle", "x", "y", "z"], lambda s, y: (s, y, "")),
-        (["needle", "z", "x", "y"], lambda s, y: ("", s, y)),
-    ],
-)
-def test_two_coordinates_are_along_and_across_the_needle(tmp_path, head, columns):
-    file = write_plane(tmp_path / "a.csv", head, columns=columns)
-    stated = {}
-    if "x" not in head:
-        assert "--set x.column=z --set y.column=y" in refusal(DataError, "", curves_of, [file]).fix
-        stated = {"x__column": head[1], "y__column": head[2]}
-    curves, _ = curves_of([file], **stated)
-    np.testing.assert_allclose(curves["n2"].line[-1], [40.0, 1.28, 0.0])
-
-
 def test_an_answer_or_a_change_that_is_refused_is_asked_for_again(tmp_path):
     replies, refused = iter(["perhaps", "1"]), []
     changes = iter(["y.colum=z", "y.column=nothing", "diameter=90G", "diameter=20G", ""])
@@ -402,7 +372,7 @@ def test_an_answer_or_a_change_that_is_refused_is_asked_for_again(tmp_path):
         prompt=lambda question, problem: refused.append(problem) or next(replies),
         review=lambda prepared, problem: refused.append(problem) or next(changes),
     )
-    assert {curve.holds for curve in prepared.content.curves} == {"shapes"} and not [*changes]
+    assert {curve.kind.name for curve in prepared.content.curves} == {"shapes"} and not [*changes]
     assert [bool(problem) for problem in refused] == [False, True, False, True, True, True, False]
     assert prepared.plan.needle.outer_diameter_mm == GAUGES_MM[20]
     assert "diameter" not in prepared.mapping.assumed and "modulus" in prepared.mapping.assumed

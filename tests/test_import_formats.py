@@ -45,7 +45,7 @@ class Content:
         curves, draft = curves_of([path], **stated)
         self.names, self.curves = [*curves], [*curves.values()]
         self.unused = {what.removesuffix(" ignored") for what, _ in draft.unused}
-        self.table = read_structured(path)[0]
+        self.table = read_structured(path)
         self.units = {record.get("unit") for one in draft.tables for record in one["columns"].values()}
 
 
@@ -302,7 +302,7 @@ def test_places_may_be_fields_of_fields_in_json(tmp_path):
     assert_same(content)
     points = [{"entry": {"x": n, "y": 0, "z": 0}, "points": one.tolist()} for n, one in enumerate(CURVES)]
     (tmp_path / "points.json").write_text(json.dumps(points))
-    assert len(read_structured(tmp_path / "points.json")[0].rows) == sum(map(len, CURVES))
+    assert len(read_structured(tmp_path / "points.json").rows) == sum(map(len, CURVES))
 
 
 @pytest.mark.parametrize(
@@ -408,7 +408,7 @@ def test_an_entry_of_one_point_in_an_array_of_structs_is_a_tip(tmp_path):
         array[0, n] = (f"n{n}", curve)
     savemat(tmp_path / "needles.mat", {"needles": array})
     curves, _ = curves_of([tmp_path / "needles.mat"], unit="mm")
-    assert [curve.holds for curve in curves.values()] == ["shapes", "shapes", "tips"]
+    assert [curve.kind.name for curve in curves.values()] == ["shapes", "shapes", "tips"]
     np.testing.assert_allclose(curves["n2"].line, CURVES[2][-1:])
 
 

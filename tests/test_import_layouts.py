@@ -7,8 +7,7 @@ import pytest
 from import_cases import write_sheets as write_workbook
 from scipy.io import savemat
 
-from needlefit.datasets.importing.examples import WORKBOOK_FILE
-from needlefit.datasets.importing.prepare import prepare_import
+from needlefit.datasets.importing.prepare import WORKBOOK_FILE, prepare_import
 from needlefit.datasets.importing.tables import read_sheets
 from needlefit.datasets.read import read
 from needlefit.project.locate import read_toml

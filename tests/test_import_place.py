@@ -129,17 +129,6 @@ def test_dense_and_noisy_points_are_as_long_as_their_needles(tmp_path, spacing, 
     assert [(row.depth, row.depth_sd) for row in plan.rows] == [(depth, 0.0) for depth in depths]
 
 
-def test_a_stated_depth_must_be_the_length_of_its_curve(tmp_path):
-    file = write_long(tmp_path, NEEDLES[:1], head=["depth"], cells=[["30"]])
-    error = refusal(DataError, "60.0 mm long", planned, [file])
-    assert "--set entry_point" in error.fix
-    plan, _ = planned([file], entry_point="depth")
-    assert plan.rows[0].depth == pytest.approx(30.0)
-    assert planned([write_long(tmp_path, NEEDLES[:1], head=["depth"], cells=[["61"]])])[0].pose == "free"
-    file = write_long(tmp_path, NEEDLES[:1], head=["depth"], cells=[["80"]])
-    assert refusal(DataError, "'80'", planned, [file]).where.endswith("points.csv:2, column 2")
-
-
 @pytest.mark.parametrize(
     ("stated", "bent", "named"),
     [("+-+-+", "+-+-+", ()), ("+-+-+", "+---+", ("n3",)), ("+-+-+", "+-0-+", ()), ("     ", "+---+", ())],
@@ -297,24 +286,6 @@ def test_needles_that_differ_are_each_their_own(tmp_path):
     file = write_long(tmp_path, NEEDLES, head=["gauge", "bore (mm)", "modulus (GPa)"], cells=cells)
     assert "n2" in refusal(DataError, "diameter=", planned, [file]).what
     assert planned([file], diameter="20G")[0].rows[1].needle == "needle2"
-
-
-@pytest.mark.parametrize("by", ["columns", "two columns"])
-def test_a_boundary_may_differ_from_needle_to_needle(tmp_path, by):
-    depths = ["18", "19", "18"]
-    if by == "columns":
-        file = write_long(tmp_path, NEEDLES, head=["Grenztiefe"], cells=[[depth] for depth in depths])
-    else:
-        head, cells = ["boundary 1 [mm]", "boundary 2 [mm]"], [[depth, "40"] for depth in depths]
-        file = write_long(tmp_path, NEEDLES, head=head, cells=cells)
-    second = (40.0,) if by == "two columns" else ()
-    _, plan, made = placed([file])
-    assert [row.boundaries for row in plan.rows] == [(float(one), *second) for one in depths]
-    assert "boundaries" not in made and plan.boundaries_mm == {"medium1": ()}
-    assert {row.layers for row in plan.rows} == {2 + len(second)}
-    write_placed(tmp_path / "gel", [file])
-    found = [one.boundaries.tolist() for one in read(tmp_path / "gel").insertions]
-    np.testing.assert_allclose(found, [[float(one), *second] for one in depths], atol=0.01)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import pytest
 from import_cases import (
     curves_of,
     needle,
-    placed,
     planned,
     prepare,
     write_european_csv,
@@ -20,8 +19,7 @@ from import_cases import (
 from refusals import refusal
 from test_cli import run
 
-from needlefit.datasets.importing.examples import WORKBOOK_FILE
-from needlefit.datasets.importing.prepare import prepare_import
+from needlefit.datasets.importing.prepare import WORKBOOK_FILE, prepare_import
 from needlefit.datasets.importing.read import integrate_angles
 from needlefit.datasets.importing.tables import read_sheets
 from needlefit.datasets.read import inspect, read
@@ -46,17 +44,6 @@ def long_rows(head=("needle", "x", "y", "z"), number=str):
 
 
 # ---- layouts of tables
-
-
-@pytest.mark.parametrize("head", [["x", "y1", "y2", "y3"], ["x [mm]", "y n1 [mm]", "y n2 [mm]", "y n3 [mm]"]])
-def test_needles_may_share_a_column_x(tmp_path, head):
-    ends = [16, 13, 10]
-    rows = [
-        [x, *(f"{one[n, 1]}" if n < end else "" for one, end in zip(NEEDLES, ends, strict=True))]
-        for n, x in enumerate(NEEDLES[0][:, 0])
-    ]
-    curves, _ = curves_of([write_rows(tmp_path / "a.csv", [head, *rows])])
-    assert [len(one.line) for one in curves.values()] == ends
 
 
 @pytest.mark.parametrize("kind", ["message", "markers", "named"])
@@ -179,18 +166,6 @@ def test_points_that_were_not_measured_are_left_out_as_the_mapping_states(tmp_pa
 
 
 # ---- tables joined on needle or specimen
-
-
-def test_every_needle_is_found_in_a_table_that_is_joined(tmp_path):
-    write_long(tmp_path, NEEDLES)
-    for text, name in (("n1;61\nn2;62\n", "n3"), ("n1;61\nn2;62\nn3;63\nq;9\n", "q")):
-        (tmp_path / "info.csv").write_text(f"Nadel;Tiefe\n{text}")
-        assert name in refusal(DataError, "", prepare, [tmp_path]).what
-    (tmp_path / "info.csv").write_text("Nadel;Tiefe\nN1;61\nn02;56\nn3;51\n")
-    content, _, _ = placed([tmp_path])
-    assert [one.stated["depth"].text for one in content.curves] == ["61", "56", "51"]
-    (tmp_path / "more.csv").write_text("Nadel;Schliff;Tiefe\nn1;1;99\nn2;1;56\nn3;1;51\n")
-    refusal(DataError, "'61'", prepare, [tmp_path])
 
 
 def test_files_name_their_needles_and_a_table_may_leave_out_a_word_of_the_names(tmp_path):
@@ -337,11 +312,6 @@ def test_a_unit_may_stand_in_the_name_of_a_value(tmp_path):
     setup = [["name", "value", "unit"], ["boundaries [cm]", "2; 4"], ["Needle_length (m)", 0.2, "m"]]
     plan = prepare([write_sheets(tmp_path / "a.xlsx", points=points, setup=setup)]).plan
     assert plan.boundaries_mm == {"medium1": (20.0, 40.0)} and plan.needle.length_mm == pytest.approx(200.0)
-    rows = ["boundaries [cm];2;4", "Nadeldurchmesser: 0,9 mm", "x [mm];y [mm];z [mm]"]
-    rows += [";".join(f"{one:.3f}".replace(".", ",") for one in point) for point in NEEDLES[0]]
-    (tmp_path / "above.csv").write_text("\n".join(rows))
-    plan = prepare([tmp_path / "above.csv"]).plan
-    assert plan.boundaries_mm == {"medium1": (20.0, 40.0)} and plan.needle.outer_diameter_mm == 0.9
 
 
 @pytest.mark.sweep

@@ -10,8 +10,8 @@ from test_datasets import record, row
 
 from needlefit.datasets.points import find_rounding
 from needlefit.datasets.read import inspect
+from needlefit.datasets.record_warnings import find_spellings
 from needlefit.datasets.scatter import count_independent
-from needlefit.datasets.spellings import find_spellings
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.neighbours import leave_one_out
 from needlefit.inference.likelihood.observation import StatedErrors

@@ -50,7 +50,7 @@ def new_workbook(
 
     `needlefit import` reads it; while it is not filled in, the examples.
     """
-    from needlefit.datasets.importing.examples import WORKBOOK_FILE
+    from needlefit.datasets.importing.prepare import WORKBOOK_FILE
     from needlefit.project.folders import replace_file
 
     if file.suffix.lower() != ".xlsx" or file.exists():
@@ -300,7 +300,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
         screen.show_frame(shown.reset_index(), "")
         if planes:
             _, off_mm, sds = max(planes, key=lambda plane: plane[1])
-            known = "" if math.isnan(sds) else f" ({sds:.1f} SD)"
-            screen.print_text(f"Out of the planes of their bevels: at most {off_mm:.2f} mm{known}.")
+            ratio = "" if math.isnan(sds) else f" ({sds:.1f} SD)"
+            screen.print_text(f"Out of the planes of their bevels: at most {off_mm:.2f} mm{ratio}.")
     if faults:
         raise typer.Exit(DataError.exit_code)

@@ -16,6 +16,11 @@ MAX_LISTED_PLACES = 5  # places that are listed of more
 _PLACE = re.compile(r"(?::(?=\d)|, (?=(?:line|point|row|sheet) ))(?P<place>[^/]*)$")  # behind a file's name
 
 
+def note_fault(faults: list[Fault], where: str, problem: str, expected: str, fix: str) -> None:
+    """Note what is wrong at a place, what is expected there, and how it is fixed."""
+    faults.append(DataError(problem, expected=expected, fix=fix, where=where))
+
+
 def merge_like(faults: Sequence[Fault]) -> list[Fault]:
     """Return faults with many of one kind in one file as one: the first, a count, and places of others.
 

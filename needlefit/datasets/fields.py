@@ -38,11 +38,11 @@ Entries = list[list[FieldCurve]]  # the curves of each entry of a list or stack;
 
 
 class FieldReader:
-    """Finds all curves in a value, and lists what of it is not used; `noun`: what its fields are called."""
+    """Finds all curves in a value, and remarks what of it is ignored; `noun`: what its fields are called."""
 
     def __init__(self, noun: str) -> None:
         self.noun = noun
-        self.unused: list[str] = []
+        self.unused = list[str]()
         self.axes = 3  # number of coordinates of a point in an array
         self.curve_fields: set[str] = set()  # names of fields that hold curves in an entry of a list
 
@@ -89,7 +89,9 @@ class FieldReader:
             entries = self._name_curves(name, to_curves(value, self.axes))
         if any(entries):
             return entries
-        self.unused[unused:] = [f"{self.noun} {name}"] if name else []  # one name for all that it holds
+        self.unused[unused:] = (
+            [f"{self.noun} {name} ignored"] if name else []
+        )  # one name for all that it holds
         return []
 
     def _find_in_struct(self, name: str, fields: Mapping[str, object]) -> Entries:
@@ -126,7 +128,9 @@ class FieldReader:
             for curve in (member for entry in entries for member in entry):
                 curve.unit = curve.unit or _find_unit(key)
         used = {key for entries in by_field.values() for key in _state(entries, beside)}
-        self.unused += [f"{self.noun} {_join(name, key)}" for key in beside if by_field and key not in used]
+        self.unused += [
+            f"{self.noun} {_join(name, key)} ignored" for key in beside if by_field and key not in used
+        ]
         groups = [by_field[key] for key in fields if key in by_field]
         return (
             groups[0]
@@ -158,8 +162,8 @@ class FieldReader:
         lost = [len(whole) - len(stripped) for whole, stripped in zip(curves, kept, strict=True)]
         if any(lost):
             padded = sum(count > 0 for count in lost)
-            rows = f"{sum(lost)} rows of NaN or zeros at the end of"
-            self.unused.append(f"{rows} {name if len(curves) == 1 else f'{padded} curves of {name}'}")
+            place = name if len(curves) == 1 else f"{padded} curves of {name}"
+            self.unused.append(f"{sum(lost)} rows of NaN or zeros at the end of {place} ignored")
         names = [name if len(curves) == 1 else f"{name}_{n}" for n, _ in enumerate(kept, 1)]
         return [[FieldCurve(*named)] if len(named[1]) else [] for named in zip(names, kept, strict=True)]
 

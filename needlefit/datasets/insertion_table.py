@@ -34,16 +34,17 @@ from needlefit.datasets.columns import (
     describe_column,
     is_id,
 )
-from needlefit.datasets.faults import Fault
+from needlefit.datasets.faults import Fault, note_fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
 from needlefit.datasets.needles import find_unknown_needle
-from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.mechanics.needle import Needle
 from needlefit.project.unit_warnings import MIN_DEPTH_MM
 from needlefit.schemas.dataset import DatasetRecord, boundaries_fault, needle_key
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
+
+Problem = tuple[str, str, str]  # of a row: what is wrong, what is expected, and how it is fixed
 
 UNIT_VECTOR_TOLERANCE = 1e-3  # greatest deviation of a direction's length from 1
 
@@ -56,16 +57,17 @@ def parse_rows(table: CsvTable, record: DatasetRecord, all_faults: list[Fault]) 
     wanted = (*REQUIRED_COLUMNS, *(POSE_COLUMNS if pose_known else ()), *(SCAN_COLUMNS if has_scan else ()))
     if note_missing_columns(named, wanted, all_faults):
         return []
-    cell_faults: list[Fault] = []
+    cell_faults, faults = list[Fault](), list[Fault]()
     rows = _make_rows(named, pose_known, cell_faults)
     if record.insertions.constants.keys() >= {*ENTRY_COLUMNS}:
         # one entry of all rows is the origin of their coordinates, and no hole
         rows = [replace(row, hole=row.hole or row.id) for row in rows]
     unread = {fault.where for fault in cell_faults}
-    faults = list(_find_duplicates(named))
+    _note_duplicates(named, faults)
     for n, row in enumerate(rows):
         if named.where(n) not in unread and _is_finite(row):
-            faults += _find_row_faults(row, named.where(n), record)
+            for problem in _find_row_faults(row, record):
+                note_fault(faults, named.where(n), *problem)
     all_faults += [*cell_faults, *faults]
     bad = unread | {fault.where for fault in faults}
     return [row for n, row in enumerate(rows) if named.where(n) not in bad and _is_finite(row)]
@@ -80,13 +82,12 @@ def add_turns(rows: Sequence[InsertionRow], table: CsvTable, faults: list[Fault]
     for row, (depth, roll), where in _iterate_beside(rows, table, TURN_COLUMNS, faults):
         turns_of_row = turns.setdefault(row.id, [])
         if not (turns_of_row[-1][0] if turns_of_row else 0.0) < depth < row.depth:
-            faults.append(
-                DataError(
-                    f"turns {row.id} at {depth:g} mm",
-                    expected=f"depths that increase between 0 and {row.depth:g} mm",
-                    fix="correct depth_mm, or remove the line",
-                    where=where,
-                )
+            note_fault(
+                faults,
+                where,
+                f"turns {row.id} at {depth:g} mm",
+                f"depths that increase between 0 and {row.depth:g} mm",
+                "correct depth_mm, or remove the line",
             )
         turns_of_row.append((depth, math.radians(roll)))
     return [replace(row, turns=tuple(turns.get(row.id, ()))) for row in rows]
@@ -104,40 +105,36 @@ def add_curvature(
         (s, y, z, sd), sensors = values, curvature.setdefault(row.id, [])
         farthest = needles[row.needle].length - MIN_SENSOR_MM
         if not MIN_SENSOR_MM <= s <= farthest:
-            faults.append(
-                DataError(
-                    f"has a sensor at {s:g} mm",
-                    expected=f"{MIN_SENSOR_MM:g} to {farthest:g} mm from the tip",
-                    fix="correct s_mm: from the tip, on the needle",
-                    where=where,
-                )
+            note_fault(
+                faults,
+                where,
+                f"has a sensor at {s:g} mm",
+                f"{MIN_SENSOR_MM:g} to {farthest:g} mm from the tip",
+                "correct s_mm: from the tip, on the needle",
             )
         elif not sd > 0:
-            faults.append(
-                DataError(
-                    f"has sd_1_per_mm {sd:g}",
-                    expected="a number above 0",
-                    fix="state the standard deviation of the curvature, 1/mm",
-                    where=where,
-                )
+            note_fault(
+                faults,
+                where,
+                f"has sd_1_per_mm {sd:g}",
+                "a number above 0",
+                "state the standard deviation of the curvature, 1/mm",
             )
         elif max(abs(y), abs(z)) > MAX_CURVATURE:
-            faults.append(
-                DataError(
-                    f"has a curvature of {max(abs(y), abs(z)):g} 1/mm",
-                    expected=f"at most {MAX_CURVATURE:g}",
-                    fix="state it in 1/mm: divide 1/m by 1000",
-                    where=where,
-                )
+            note_fault(
+                faults,
+                where,
+                f"has a curvature of {max(abs(y), abs(z)):g} 1/mm",
+                f"at most {MAX_CURVATURE:g}",
+                "state it in 1/mm: divide 1/m by 1000",
             )
         elif s in (sensor[0] for sensor in sensors):
-            faults.append(
-                DataError(
-                    f"states the curvature of {row.id} at {s:g} mm again",
-                    expected="one line for each sensor",
-                    fix="remove the line",
-                    where=where,
-                )
+            note_fault(
+                faults,
+                where,
+                f"states the curvature of {row.id} at {s:g} mm again",
+                "one line for each sensor",
+                "remove the line",
             )
         sensors.append(values)
     read = {name: np.array(values) for name, values in curvature.items()}
@@ -156,13 +153,12 @@ def _iterate_beside(
         if name in rows_by_id:
             yield rows_by_id[name], values[n], table.where(n)
         else:
-            faults.append(
-                DataError(
-                    f"is of insertion {name!r:.60}",
-                    expected="an id of the table",
-                    fix="correct the id, or remove the line",
-                    where=table.where(n),
-                )
+            note_fault(
+                faults,
+                table.where(n),
+                f"is of insertion {name!r:.60}",
+                "an id of the table",
+                "correct the id, or remove the line",
             )
 
 
@@ -175,14 +171,20 @@ def _is_finite(row: InsertionRow) -> bool:
 def _make_rows(table: CsvTable, pose_known: bool, faults: list[Fault]) -> list[InsertionRow]:
     """Turn cells into rows; a faulty number leaves a NaN and a note."""
 
+    def numbers(name: str, default: float | None = None) -> Floats:
+        return parse_numbers(table, name, faults, default)
+
     def vectors(names: tuple[str, ...], default: float | None = None) -> Floats:
-        return np.column_stack([parse_numbers(table, name, faults, default) for name in names])
+        return np.column_stack([numbers(name, default) for name in names])
 
     def texts(name: str) -> list[str]:
-        return list(table.cells[name]) if name in table.cells else [""] * len(table.lines)
+        return [*table.cells.get(name, [""] * len(table.lines))]
 
-    count, layers = range(len(table.lines)), parse_numbers(table, "layers", faults)
-    alternative = parse_numbers(table, "layers_alternative", faults, math.nan)
+    count, layers, alternative = (
+        range(len(table.lines)),
+        numbers("layers"),
+        numbers("layers_alternative", math.nan),
+    )
     fields: dict[str, Iterable[Any]] = {name: texts(name) for name in TEXT_COLUMNS} | {
         "layers": map(_to_int, layers),
         "layers_alternative": map(_to_int, np.where(np.isnan(alternative), layers, alternative)),
@@ -197,31 +199,30 @@ def _make_rows(table: CsvTable, pose_known: bool, faults: list[Fault]) -> list[I
     else:
         fields["pose_source"] = ["none" for _ in count]
     for name, (field, default) in NUMBER_COLUMNS.items():
-        values = parse_numbers(table, name, faults, default)
+        values = numbers(name, default)
         values = np.radians(values) if name.endswith("_deg") else values
         fields[field] = [None if math.isnan(x) and default is not None else x for x in values.tolist()]
-    numbers = {
-        str(name).removeprefix(OBSERVATION_PREFIX): parse_numbers(table, str(name), faults, math.nan).tolist()
-        for name in table.cells
-        if str(name).startswith(OBSERVATION_PREFIX)
+    observed = {
+        name.removeprefix(OBSERVATION_PREFIX): numbers(name, math.nan).tolist()
+        for name in map(str, table.cells)
+        if name.startswith(OBSERVATION_PREFIX)
     }
     fields["observation_values"] = [
-        {name: values[n] for name, values in numbers.items() if not math.isnan(values[n])} for n in count
+        {name: values[n] for name, values in observed.items() if not math.isnan(values[n])} for n in count
     ]
     fields["boundaries"] = [_parse_boundaries(table, n, faults) for n in count]
-    fields["side"] = map(_to_int, parse_numbers(table, "bevel_side", faults, 1.0))
+    fields["side"] = map(_to_int, numbers("bevel_side", 1.0))
     names = zip(*(texts(name) for name in ("specimen", HOLE_COLUMN, "id")), strict=True)
     fields["specimen"] = [next(filter(None, specimen_names), "") for specimen_names in names]
     rolls, sides = texts(ROLL_COLUMNS[0]), texts("bevel_side")
     for n, both in enumerate(zip(rolls, sides, strict=True) if any(rolls) else ()):
         if all(both) or not any(both):
-            faults.append(
-                DataError(
-                    f"states bevel_side {both[1]!r:.20} and bevel_roll_deg {both[0]!r:.20}",
-                    expected="one of the two, 0 too",
-                    fix="fill one of the two cells",
-                    where=table.where(n),
-                )
+            note_fault(
+                faults,
+                table.where(n),
+                f"states bevel_side {both[1]!r:.20} and bevel_roll_deg {both[0]!r:.20}",
+                "one of the two, 0 too",
+                "fill one of the two cells",
             )
     rows = zip(*fields.values(), strict=True)
     return [InsertionRow(**dict(zip(fields, values, strict=True))) for values in rows]
@@ -240,13 +241,12 @@ def _parse_boundaries(table: CsvTable, row: int, faults: list[Fault]) -> tuple[f
         fault = f"has {len(depths)} depths, more than {MAX_LAYERS - 1}"
     elif not (fault := boundaries_fault(depths)):
         return depths
-    faults.append(
-        DataError(
-            f"{describe_column(table.names, BOUNDARIES_COLUMN)} {fault}",
-            expected=f"depths from the entry on, mm, such as 18;36, or {NO_BOUNDARY}",
-            fix="correct the cell, or leave it empty: the boundaries of the medium",
-            where=table.where(row),
-        )
+    note_fault(
+        faults,
+        table.where(row),
+        f"{describe_column(table.names, BOUNDARIES_COLUMN)} {fault}",
+        f"depths from the entry on, mm, such as 18;36, or {NO_BOUNDARY}",
+        "correct the cell, or leave it empty: the boundaries of the medium",
     )
     return None
 
@@ -267,179 +267,154 @@ def _to_int(value: float) -> int:
     return int(value) if np.isfinite(value) and value == round(value) else 0
 
 
-def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
+def _find_row_faults(row: InsertionRow, record: DatasetRecord) -> Iterator[Problem]:
     """Say what is wrong with one row; numbers that could not be read were noted before."""
     if not is_id(row.id):
-        yield DataError(
-            f"id is {row.id!r}",
-            expected=EXPECTED_ID,
-            fix="rename it, and its centreline with it",
-            where=where,
-        )
+        yield f"id is {row.id!r}", EXPECTED_ID, "rename it, and its centreline with it"
     for name, value in (("specimen", row.specimen), (HOLE_COLUMN, row.hole)):
         if (value or name == "specimen") and (fault := name_fault(value)):
-            yield DataError(
-                f"{name} is {value!r}: {fault}", expected=EXPECTED_NAME, fix="rename it", where=where
-            )
+            yield f"{name} is {value!r}: {fault}", EXPECTED_NAME, "rename it"
     if row.medium not in record.media:
         listed = ", ".join(record.media) or "(none)"
-        yield DataError(
+        yield (
             f"medium {row.medium!r} is unknown",
-            expected=f"one of {listed}",
-            fix="correct it, or add a table [media.NAME] to dataset.toml",
-            where=where,
+            f"one of {listed}",
+            "correct it, or add a table [media.NAME] to dataset.toml",
         )
-    yield from _find_boundaries_fault(row, where, record)
+    yield from _find_boundaries_fault(row, record)
     if row.layers < 1 or (row.layers_alternative or 0) < 1:
-        yield DataError(
+        yield (
             "layers or layers_alternative is not a count",
-            expected="a whole number from 1",
-            fix="count the layers that the needle went through",
-            where=where,
+            "a whole number from 1",
+            "count the layers that the needle went through",
         )
     if row.side not in (1, -1):
-        yield DataError(
+        yield (
             "bevel_side is unknown",
-            expected="+1 (toward +y of C) or -1",
-            fix="write 1 or -1, or leave the cell empty: +1",
-            where=where,
+            "+1 (toward +y of C) or -1",
+            "write 1 or -1, or leave the cell empty: +1",
         )
     if row.roll is not None and record.frame.pose == "free":
-        yield DataError(
+        yield (
             "a roll is stated for a shape of unknown pose",
-            expected="no bevel_roll_deg",
-            fix='remove it, or state poses (pose = "known")',
-            where=where,
+            "no bevel_roll_deg",
+            'remove it, or state poses (pose = "known")',
         )
     elif row.roll is not None and row.bevel is None:
-        yield DataError(
+        yield (
             "bevel_roll_deg is stated without its direction of 0",
-            expected="a direction",
-            fix=f"fill {', '.join(BEVEL_COLUMNS)}: the direction of a roll of 0",
-            where=where,
+            "a direction",
+            f"fill {', '.join(BEVEL_COLUMNS)}: the direction of a roll of 0",
         )
     for name, (field, default) in NUMBER_COLUMNS.items():
         if "_sd_" in name and default is not None and (getattr(row, field) or 0.0) < 0:
             fix = "remove the sign, or leave the cell empty"
             fix += "" if math.isnan(default) else f": {default:g}"
-            yield DataError(
-                f"{name} is negative", expected="a standard deviation, 0 or more", fix=fix, where=where
-            )
+            yield f"{name} is negative", "a standard deviation, 0 or more", fix
     if row.boundary_shared_sd is not None and row.boundary_shared_sd > row.boundary_sd:
-        yield DataError(
+        yield (
             f"{SHARED_COLUMN} is {row.boundary_shared_sd:g}, more than boundary_sd_mm, {row.boundary_sd:g}",
-            expected="a part of boundary_sd_mm",
-            fix="correct one of them, or leave the cell empty",
-            where=where,
+            "a part of boundary_sd_mm",
+            "correct one of them, or leave the cell empty",
         )
-    yield from _find_depth_faults(row, where, record)
-    yield from _find_pose_faults(row, where, record)
+    yield from _find_depth_faults(row, record)
+    yield from _find_pose_faults(row, record)
 
 
-def _find_boundaries_fault(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
+def _find_boundaries_fault(row: InsertionRow, record: DatasetRecord) -> Iterator[Problem]:
     medium = record.media.get(row.medium)
     if row.boundaries is None or medium is None or not medium.surfaces:
         return
     column = describe_column(record.insertions.columns, BOUNDARIES_COLUMN)
-    yield DataError(
+    yield (
         f"{column} is stated, and medium {row.medium} has surfaces",
-        expected="either surfaces or depths of the boundaries",
-        fix=f"leave the cell empty, or remove media.{row.medium}.surfaces in dataset.toml",
-        where=where,
+        "either surfaces or depths of the boundaries",
+        f"leave the cell empty, or remove media.{row.medium}.surfaces in dataset.toml",
     )
 
 
-def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
+def _find_depth_faults(row: InsertionRow, record: DatasetRecord) -> Iterator[Problem]:
     needles = record.all_needles
     if row.needle not in needles:
-        yield from find_unknown_needle(row.needle, where, record)
+        yield from (
+            (fault.what, fault.expected, fault.fix) for fault in find_unknown_needle(row.needle, "", record)
+        )
         return
     length, guide = needles[row.needle].length_mm, row.guide_distance
     depth_mm = describe_column(record.insertions.columns, "depth_mm")
     if row.depth <= 0:
-        yield DataError(
+        yield (
             f"{depth_mm} is {row.depth:g}",
-            expected="an inserted length above 0",
-            fix="give the length from the entry to the tip",
-            where=where,
+            "an inserted length above 0",
+            "give the length from the entry to the tip",
         )
     elif row.depth < MIN_DEPTH_MM:
-        yield DataError(
+        yield (
             f"{depth_mm} is {row.depth:g}: this looks like metres",
-            expected="millimetres",
-            fix="multiply the column by 1000",
-            where=where,
+            "millimetres",
+            "multiply the column by 1000",
         )
     if row.depth >= length:
         key = f"{needle_key(row.needle)}.length_mm"
-        yield DataError(
+        yield (
             f"{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long",
-            expected="a depth smaller than the needle's length, both in mm",
-            fix=f"correct {key} in dataset.toml, or {depth_mm}",
-            where=where,
+            "a depth smaller than the needle's length, both in mm",
+            f"correct {key} in dataset.toml, or {depth_mm}",
         )
     if guide is not None and not 0 < guide <= length - row.depth:
-        yield DataError(
+        yield (
             f"guide_distance_mm is {guide:g} at depth {row.depth:g} mm of a {length:g} mm needle",
-            expected="above 0, and within the needle outside the tissue",
-            fix="correct it, or leave the cell empty: held at its base",
-            where=where,
+            "above 0, and within the needle outside the tissue",
+            "correct it, or leave the cell empty: held at its base",
         )
 
 
-def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
+def _find_pose_faults(row: InsertionRow, record: DatasetRecord) -> Iterator[Problem]:
     if row.bevel is not None and (np.isnan(row.bevel).any() or not np.linalg.norm(row.bevel) > 0):
-        yield DataError(
+        yield (
             f"{', '.join(BEVEL_COLUMNS)} are {row.bevel.tolist()}",
-            expected="a direction, or three empty cells",
-            fix="fill all three, or none",
-            where=where,
+            "a direction, or three empty cells",
+            "fill all three, or none",
         )
     if row.patient is not None and np.isnan(row.patient.origin).any():
-        yield DataError(
+        yield (
             f"{SCAN_COLUMNS[0]} ... {SCAN_COLUMNS[-1]} are filled in part",
-            expected="six numbers, or six empty cells",
-            fix="fill all six, or none",
-            where=where,
+            "six numbers, or six empty cells",
+            "fill all six, or none",
         )
     if record.frame.pose == "free" or row.direction is None:
         return
     if row.pose_source not in STATED_POSE_SOURCES:
-        yield DataError(
+        yield (
             f"pose_source is {row.pose_source!r}",
-            expected=f"one of {', '.join(STATED_POSE_SOURCES)}",
-            fix='correct it; without an entry pose: frame.pose = "free"',
-            where=where,
+            f"one of {', '.join(STATED_POSE_SOURCES)}",
+            'correct it; without an entry pose: frame.pose = "free"',
         )
     length = float(np.linalg.norm(row.direction))
     if abs(length - 1) > UNIT_VECTOR_TOLERANCE:
         fix = "divide the three numbers by their length" if length else "give the direction of insertion"
-        yield DataError(
-            f"entry direction has length {length:.4g}",
-            expected="a unit vector (entry_dx, _dy, _dz)",
-            fix=fix,
-            where=where,
-        )
+        yield f"entry direction has length {length:.4g}", "a unit vector (entry_dx, _dy, _dz)", fix
 
 
-def _find_duplicates(table: CsvTable) -> Iterator[Fault]:
-    """Yield ids that stand there twice, and specimens that differ by case alone."""
+def _note_duplicates(table: CsvTable, faults: list[Fault]) -> None:
+    """Note ids that stand there twice, and specimens that differ by case alone."""
     first: dict[str, int] = {}
     for n, name in enumerate(table.cells["id"]):
-        if name.casefold() in first:
-            yield DataError(
-                f"id {name!r} stands on line {first[name.casefold()]} already",
-                expected="a different id for every insertion",
-                fix="rename one, and its centreline with it, or remove it",
-                where=table.where(n),
+        if (line := first.setdefault(name.casefold(), int(table.lines[n]))) != table.lines[n]:
+            note_fault(
+                faults,
+                table.where(n),
+                f"id {name!r} stands on line {line} already",
+                "a different id for every insertion",
+                "rename one, and its centreline with it, or remove it",
             )
-        first.setdefault(name.casefold(), int(table.lines[n]))
     spelled: dict[str, str] = {}
     for n, name in enumerate(table.cells.get("specimen", ())):
         if (other := spelled.setdefault(name.casefold(), name)) != name:
-            yield DataError(
+            note_fault(
+                faults,
+                table.where(n),
                 f"specimen is {name!r}, and {other!r} above",
-                expected="one spelling",
-                fix="write both alike, or give them names that differ",
-                where=table.where(n),
+                "one spelling",
+                "write both alike, or give them names that differ",
             )

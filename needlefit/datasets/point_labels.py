@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import groupby
 
 from needlefit.datasets.points import MIN_POINTS
+from needlefit.grouping import group_values
 
 _LABEL = re.compile(r"(.*?)[\s_.:/#-]*(\d{1,6})")
 _NUMBER = re.compile(r"\d+\.\d+")
@@ -20,9 +21,7 @@ def divide_labels(labels: Sequence[str]) -> dict[str, list[int]]:
     """
     matches = [match for label in labels if (match := _LABEL.fullmatch(label.strip()))]
     parts = [(match[1], int(match[2])) for match in matches]
-    groups: dict[str, list[int]] = {}
-    for row, (name, _) in enumerate(parts):
-        groups.setdefault(name, []).append(row)
+    groups = group_values((name, row) for row, (name, _) in enumerate(parts))
     is_named = len(parts) == len({*parts}) == len(labels) and 1 < len(groups) < len(labels)
     if not is_named or min(map(len, groups.values())) >= MIN_POINTS:
         return groups if is_named else {}

@@ -1,6 +1,9 @@
 """Warn about what a dataset states: placeholders, names, units, boundaries, surfaces, errors."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from difflib import SequenceMatcher
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +12,6 @@ from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_C
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers import MISSED_FIX, Checked, name_small_unit
 from needlefit.datasets.scatter import SD_MM, find_scatter_warnings
-from needlefit.datasets.spellings import find_spellings
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.project.unit_warnings import (
@@ -31,6 +33,9 @@ PLACEHOLDER = "TO FILL IN"  # marks values that a template cannot know
 MAPPING_FILE = "mapping.toml"  # beside dataset.toml: how an import read its files
 
 MAX_ROLL_SD_DEG = 45.0  #: SD of a roll beyond which nothing is known of it: a uniform one has 104
+#: part of the letters of two names that match, of one that was mistyped: all but one of seven
+MIN_ALIKE = 0.85
+MIN_LETTERS = 3  #: shorter names are labels
 MAX_NOISE_PART = 0.5  #: SD of points over the largest deflection: beyond it no needle bends by more than 2 SD
 
 
@@ -206,3 +211,30 @@ def find_noise_warnings(checked: Checked) -> Iterator[ResultWarning]:
 
 def _name_larger_sd(noise: Noise) -> str:
     return f"noise.{'point' if noise.point_sd >= noise.correlated_sd else 'correlated'}_sd_mm"
+
+
+# ---- spellings
+
+
+def find_spellings(names: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """Yield pairs of names that differ by a letter inside, or by two neighbours that are exchanged.
+
+    Numbers distinguish names, and so do their last letters: pork a and pork b are two.
+    """
+    for name, other in combinations(dict.fromkeys(names), 2):
+        (a, numbers), (b, its_numbers) = _split(name), _split(other)
+        if numbers == its_numbers and (a == b or _are_alike(a, b)):
+            yield name, other
+
+
+def _split(name: str) -> tuple[str, list[str]]:
+    """Return the letters of a name, and its numbers."""
+    return re.sub(r"[\W\d_]", "", name.casefold()), re.findall(r"\d+", name)
+
+
+def _are_alike(name: str, other: str) -> bool:
+    is_label = name[:-1] == other[:-1] or name.startswith(other) or other.startswith(name)
+    if is_label or min(len(name), len(other)) < MIN_LETTERS:
+        return False
+    exchanged = (name[:k] + name[k + 1 : k + 2] + name[k] + name[k + 2 :] for k in range(len(name)))
+    return other in exchanged or SequenceMatcher(None, name, other, autojunk=False).ratio() >= MIN_ALIKE

@@ -22,6 +22,7 @@ from needlefit.datasets.importing.writing import CURVATURE_FILE, TRACKS_FILE, TU
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.record_warnings import MAPPING_FILE
 from needlefit.geometry.surfaces import Surface
+from needlefit.grouping import group_values
 from needlefit.project.folders import replace_folder
 from needlefit.project.locate import join_names
 from needlefit.reporting.figures.style import draw, draw_grid, label_origin, separate_positions
@@ -122,7 +123,7 @@ def tabulate_columns(prepared: PreparedImport) -> pd.DataFrame:
     """Return one row for each meaning of each table: its column, unit and first values in mm."""
     rows = list[tuple[str, ...]]()
     for mapped in prepared.content.tables:
-        table = f"{mapped.table.file} {mapped.record.sheet.replace('*', '')}".strip()
+        table = f"{mapped.file} {mapped.record.sheet.replace('*', '')}".strip()
         for meaning, column in mapped.record.columns.items():
             unit = column.unit or MEANINGS[meaning].unit
             is_point = meaning in COORDINATES and mapped.has_points
@@ -147,7 +148,7 @@ def _list_first(mapped: MappedTable, meaning: str) -> list[str]:
     for n, cells in enumerate(mapped.cells[meaning]):
         texts = [*cells[:MAX_SHOWN_CELLS]]
         for k, cell in enumerate(texts) if is_length else ():
-            if mapped.table.number(cell) is not None:
+            if mapped.number(cell) is not None:
                 texts[k] = f"{mapped.read_number(meaning, n, k):.4g} mm"
         value = "; ".join(texts)
         if any(cells) and (is_length or value not in values):
@@ -181,13 +182,10 @@ def join_unused(unused: Sequence[tuple[str, str]]) -> str:
 
     `unused`: what, and where it stands.
     """
-    places, parts = dict[str, list[str]](), dict[tuple[str, ...], list[str]]()
-    for part, where in unused:
-        places.setdefault(part, []).append(where)
+    places = group_values(unused)
     lines = [part for part in places if part.startswith("line")]
     shown = [*(part for part in places if part not in lines), *lines[:MAX_LISTED_UNUSED]]
-    for part in shown:
-        parts.setdefault(tuple(places[part]), []).append(part)
+    parts = group_values((tuple(places[part]), part) for part in shown)
     texts = [
         f"{join_names(names, MAX_LISTED_UNUSED)} ({join_names(files, 1)})" for files, names in parts.items()
     ]

@@ -10,7 +10,6 @@ from needlefit.schemas.origin import Origin
 ColumnName = str | int  #: header of a column, or its number, from 1
 
 Holds = Literal["shapes", "tips", "tracks", "curvatures", "turns", "depths", "facts"]
-POINT_ROWS: tuple[Holds, ...] = ("shapes", "tips", "tracks")  #: whose coordinates are places in one unit
 
 
 class MeaningRecord(Record):

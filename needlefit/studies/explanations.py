@@ -1,16 +1,23 @@
 """What `needlefit explain` prints: warnings, terms, columns of tables, keys of files."""
 
+import csv
 import re
 from collections.abc import Iterator, Mapping
 from functools import cache
+from importlib.resources import files
 
 from needlefit.datasets.importing.meanings import MEANINGS
-from needlefit.datasets.input_tables import read_input_columns
 from needlefit.grouping import group_values
 from needlefit.project.help_pages import Topic, read_sections, read_terms
 from needlefit.project.toml_reference import KeyDescription, describe_files
 from needlefit.reporting.columns import find_column, list_columns
 from needlefit.studies.kind import list_records
+
+
+def read_input_columns() -> list[dict[str, str]]:
+    """Return table, column, meaning and default (of an empty cell) of tables that users write."""
+    text = files("needlefit.datasets").joinpath("input_tables.csv").read_text(encoding="utf-8")
+    return [*csv.DictReader(text.splitlines())]
 
 
 @cache
@@ -30,9 +37,9 @@ def list_topics() -> Mapping[str, tuple[Topic, ...]]:
         ),
         "Columns of tables that you write": tuple(
             Topic(
-                column.column,
-                f"{column.column}, of {column.table}",
-                (column.meaning, *([f"Empty: {column.default}."] if column.default else [])),
+                column["column"],
+                f"{column['column']}, of {column['table']}",
+                (column["meaning"], *([f"Empty: {column['default']}."] if column["default"] else [])),
             )
             for column in read_input_columns()
         ),
@@ -76,10 +83,8 @@ def _describe_files() -> Iterator[Topic]:
             paragraphs.append(f"{table.title}. {table.summary}")
             paragraphs += [f"- {key.key} ({key.value}): {key.meaning}" for key in table.keys]
         yield Topic(file.name, f"Keys of the file: {file.title}", tuple(paragraphs), file.title)
-    for name, columns in group_values(
-        (input_column.table, input_column) for input_column in read_input_columns()
-    ).items():
-        lines = (f"- {column.column}: {column.meaning}" for column in columns)
+    for name, columns in group_values((column["table"], column) for column in read_input_columns()).items():
+        lines = (f"- {column['column']}: {column['meaning']}" for column in columns)
         yield Topic(name, f"Columns of {name}", tuple(lines))
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import POINT_COLUMNS, SD_COLUMN, describe_column
-from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.faults import Fault, as_error, note_fault
 from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
@@ -98,23 +98,21 @@ def parse_numbers(table: CsvTable, column: str, faults: list[Fault], default: fl
     bad = missing if default is None else np.setdiff1d(missing, empty)
     for row in bad[:MAX_LISTED_CELLS]:
         problem = "is empty" if row in empty else f"is {text.iloc[row][:MAX_SHOWN_CHARS]!r}"
-        faults.append(
-            DataError(
-                f"{describe_column(table.names, column)} {problem}",
-                expected=f"a finite number, at most {MAX_COORDINATE:g}",
-                fix="fix the cell",
-                where=table.where(row),
-            )
+        note_fault(
+            faults,
+            table.where(row),
+            f"{describe_column(table.names, column)} {problem}",
+            f"a finite number, at most {MAX_COORDINATE:g}",
+            "fix the cell",
         )
     if len(bad) > MAX_LISTED_CELLS:
         more, line = len(bad) - MAX_LISTED_CELLS, table.lines[bad[MAX_LISTED_CELLS]]
-        faults.append(
-            DataError(
-                f"{describe_column(table.names, column)} has {more} more such cells from here on",
-                expected="finite numbers",
-                fix="fix the cells",
-                where=f"{table.path}:{line}",
-            )
+        note_fault(
+            faults,
+            f"{table.path}:{line}",
+            f"{describe_column(table.names, column)} has {more} more such cells from here on",
+            "finite numbers",
+            "fix the cells",
         )
     if default is not None:
         values[empty] = default
@@ -135,13 +133,12 @@ def read_curve(table: CsvTable, names: Mapping[str, str], faults: list[Fault]) -
     if column in table.cells and (table.cells[column] != "").any():
         sd = parse_numbers(table, column, faults)
         for row in np.flatnonzero(sd < 0)[:MAX_LISTED_CELLS]:
-            faults.append(
-                DataError(
-                    f"{column} is {sd[row]:g}",
-                    expected="a standard deviation, 0 or more, mm",
-                    fix="fix the cell, or leave the column out",
-                    where=table.where(int(row)),
-                )
+            note_fault(
+                faults,
+                table.where(int(row)),
+                f"{column} is {sd[row]:g}",
+                "a standard deviation, 0 or more, mm",
+                "fix the cell, or leave the column out",
             )
     if len(faults) > before:
         return None
@@ -163,13 +160,12 @@ def note_missing_columns(table: CsvTable, wanted: Sequence[str], faults: list[Fa
     """Note a fault for each column of `wanted` that is missing; return whether any was."""
     missing = [column for column in wanted if column not in table.cells]
     for column in missing:
-        faults.append(
-            DataError(
-                f"column `{column}` is missing",
-                expected=f"a column of that name; there are {list_columns(table.cells.columns)}",
-                fix=MISSING_COLUMN_FIX,
-                where=f"{table.path}:1",
-            )
+        note_fault(
+            faults,
+            f"{table.path}:1",
+            f"column `{column}` is missing",
+            f"a column of that name; there are {list_columns(table.cells.columns)}",
+            MISSING_COLUMN_FIX,
         )
     return bool(missing)
 

@@ -38,7 +38,7 @@ def read_curves(path: Path) -> ReadCurves:
             fix=_FIX,
             where=path,
         )
-    return curves, [f"{field} ignored" for field in reader.unused]
+    return curves, reader.unused
 
 
 def _to_arrays(value: Any, where: str, depth: int = 0) -> object:  # noqa: ANN401 - whatever a line holds

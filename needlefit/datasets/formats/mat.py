@@ -50,7 +50,7 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
             where=path,
         )
     curves = {name: Points(path, array, **beside[name]) for name, array in arrays.items()}
-    return curves, [f"{variable} ignored" for variable in unused]
+    return curves, unused
 
 
 def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict[str, Any]], list[str]]:
@@ -73,8 +73,8 @@ def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict
                 variables = {key: value if value.ndim else value.item() for key, value in archive.items()}
         except ValueError:
             fix = "save an array of each needle: numpy.savez(file, n1=points1, n2=points2)"
-            what = "holds an array of Python objects, or a damaged one"
-            raise DataError(what, expected=EXPECTED_ARRAYS, fix=fix, where=path) from None
+            problem = "holds an array of Python objects, or a damaged one"
+            raise DataError(problem, expected=EXPECTED_ARRAYS, fix=fix, where=path) from None
     else:
         opened: Any = BytesIO(data)  # which it takes, though its stubs do not state it
         variables = loadmat(opened, simplify_cells=True)

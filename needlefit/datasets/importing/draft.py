@@ -3,8 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
-from needlefit.datasets.importing.meanings import MEANINGS, QUESTIONS, VALUES, Answers, Keys, Pairs
-from needlefit.datasets.importing.stated import Question, name_set
+from needlefit.datasets.importing.meanings import MEANINGS, VALUES, Answers, Keys, Pairs
+from needlefit.datasets.importing.stated import Question, make_question, name_set
 from needlefit.errors import ConfigError
 from needlefit.project.locate import sort_by_similarity
 from needlefit.project.toml import check, override
@@ -22,7 +22,7 @@ class Draft:
     """
 
     def __init__(self, pairs: Pairs) -> None:
-        self.stated = dict[str, str]()  # values of all needles, by meaning
+        self.values = dict[str, str]()  # of all needles, by meaning; setup sheets add theirs
         self.columns = dict[str, Keys]()  # stated ones, by meaning and part
         self.table_keys = Keys()  # stated keys of every table
         self.numbered = list[tuple[str, str]]()  # stated keys of one: `tables.2.sheet`
@@ -41,7 +41,7 @@ class Draft:
         for key, text in pairs:
             head, _, part = key.partition(".")
             if key in VALUES:
-                self.stated[key] = text
+                self.values[key] = text
             elif key in ("unit", "origin"):
                 setattr(self, key, text)
             elif key == "surfaces":
@@ -64,7 +64,6 @@ class Draft:
                     expected="a key of the mapping: needlefit explain mapping",
                     fix=f"did you mean {name_set(sort_by_similarity(head, KEYS)[0], text)}",
                 )
-        self.values = {**self.stated}  # of all needles; setup sheets add theirs
 
     def ask(
         self,
@@ -73,19 +72,10 @@ class Draft:
         choices: Answers | None = None,
         **parts: str | int,
     ) -> None:
-        """Ask a question of `QUESTIONS`, whose `parts` are filled in."""
-        text, key, answers = QUESTIONS[question]
-        filled = {
-            answer: {key.format(**parts): value.format(**parts) for key, value in keys.items()}
-            for answer, keys in answers.items()
-        }
-        asked = Question(key.format(**parts), text.format(**parts), choices or filled, where)
+        """Ask a question of `QUESTIONS`, unless it is asked already."""
+        asked = make_question(question, where, choices, **parts)
         if not any(replace(other, where=where) == asked for other in self.opens):  # of one sheet
             self.opens.append(asked)
-
-    def ask_column(self, meaning: str, where: str, answers: Answers, beside: str = "") -> None:
-        """Ask in which column a meaning stands."""
-        self.ask("column", where, answers, key=meaning, text=f"{MEANINGS[meaning].text}{beside}")
 
     def add(self, entry: Keys, path: Path) -> None:
         """Add the entry of a table; files that are read alike have one."""

@@ -14,22 +14,35 @@ from needlefit.datasets.folds import MAX_NAMED_SPECIMENS
 from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.formats.markups import holds_markups, is_plane, read_markups
 from needlefit.datasets.importing.draft import Draft
-from needlefit.datasets.importing.draft_entries import draft_entries
-from needlefit.datasets.importing.examples import EXAMPLE_SHEET
-from needlefit.datasets.importing.kinds import KINDS
-from needlefit.datasets.importing.layout import propose_layout, sniff_text
+from needlefit.datasets.importing.draft_table import (
+    EXCLUDED,
+    MAX_FLAGS,
+    OF_LAYERS,
+    Column,
+    Columns,
+    TableDraft,
+    join_columns,
+    to_inline_table,
+)
+from needlefit.datasets.importing.kinds import KINDS, RowKind, list_kinds
+from needlefit.datasets.importing.layout import lay_out, propose_layout, sniff_text
 from needlefit.datasets.importing.meanings import (
+    ATTRIBUTES,
+    COORDINATES,
+    MEANINGS,
     NAMED_BY_LAYER,
     VALUES,
     Keys,
     Pairs,
     find_meaning,
+    is_side,
+    list_bare_numbers,
     read_header,
     split_unit,
+    translate_side,
 )
 from needlefit.datasets.importing.read import MAX_CURVES, split_names
 from needlefit.datasets.importing.stated import name_set
-from needlefit.datasets.importing.table_rows import lay_out
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
@@ -49,7 +62,8 @@ from needlefit.project.toml import check, override
 from needlefit.project.units import UNITS_MM
 from needlefit.schemas.mapping import TableRecord
 
-SETUP_SHEET, GUIDE_SHEET = "setup", "read me"  # of the workbook to fill in
+# how names of sheets of the workbook to fill in begin
+EXAMPLE_SHEET, SETUP_SHEET, GUIDE_SHEET = "example", "setup", "read me"
 MAPPING_TEXTS = ("title", "source", "license", "entry", "bevel", "guide")  # values that are no columns
 
 
@@ -76,9 +90,7 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
         elif suffix in SHEET_SUFFIXES:
             _draft_workbook(path, draft)
         else:
-            table, remarks = read_structured(path)
-            draft.unused += [(remark, path.name) for remark in remarks]
-            draft_entries(table, {"files": [path.name]}, draft)
+            draft_entries(table := read_structured(path), {"files": [path.name]}, draft)
             _ask_markups(path, table, draft, files)
     for meaning, parts in draft.columns.items():
         if "column" in parts and draft.headers and meaning not in draft.columns_read:
@@ -101,13 +113,14 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
         problem = "; ".join(
             f"{part}: {why}" for part, why in draft.unused if part.startswith(("table", "folder"))
         )
-        known = {*draft.columns}.union(*(table["columns"] for table in draft.tables))
-        needed = [key for key in ("depth", "deflection") if key not in known]
+        meanings = {*draft.columns}.union(*(table["columns"] for table in draft.tables))
+        needed = [key for key in ("depth", "deflection") if key not in meanings]
         numbers = [key.partition(".")[2] for key in draft.assumed if key.startswith("unused.")]
         for key in needed if len(needed) < 2 else "xy":
             lengths = [name for name in numbers if read_header(name).unit in ("", "px", *UNITS_MM)]
             answers = {name: {f"{key}.column": name} for name in lengths}
-            draft.ask_column(key, str(paths[0]), answers, f" ({problem or paths[0]})")
+            text = f"{MEANINGS[key].text} ({problem or paths[0]})"
+            draft.ask("column", str(paths[0]), answers, key=key, text=text)
     read = {name for table in draft.tables for name in table["files"]}
     for path in paths if not draft.opens else ():
         if (name := draft.names.get(path, "")) in draft.ignored.keys() - read:
@@ -271,7 +284,7 @@ def _states_values(grid: Table) -> bool:
 def _draft_values(grid: Table, keys: Keys, draft: Draft) -> None:
     """Propose what a sheet of names and values states of all."""
     table = lay_out(grid, check(keys, TableRecord, grid.path))
-    draft.unused += [(f"line `{line}`"[:200], grid.path.name) for line in table.unread]
+    draft.unused += [(line, grid.path.name) for line in table.unread]
     rows, columns = dict[str, list[str]](), dict[str, Keys]()
     for header, text in zip(table.headers, table.rows[0], strict=True):
         named, unit = split_unit(header)
@@ -284,7 +297,7 @@ def _draft_values(grid: Table, keys: Keys, draft: Draft) -> None:
             draft.values.setdefault(key, text)
         elif key not in (*VALUES, *NAMED_BY_LAYER):
             draft.unused.append((f"row {header} = {text}", Path(grid.where).name))
-        elif key not in draft.stated:
+        elif key not in draft.values:
             rows.setdefault(key, []).append(header)
             columns[key] = {"column": rows[key], "unit": unit or name.unit}
     if columns:
@@ -302,5 +315,136 @@ def _draft_grid(grid: Table, keys: Keys, draft: Draft) -> None:
         return
     keys = propose_layout(grid, keys | draft.table_keys)
     table = lay_out(grid, check({"holds": "facts"} | keys, TableRecord, grid.path))
-    draft.unused += [(f"line `{line}`"[:200], grid.path.name) for line in table.unread]
     draft_entries(table, keys, draft)
+
+
+# ---- entries of a table
+
+
+def draft_entries(table: Table, keys: Keys, draft: Draft) -> None:
+    """Add the entries of a table to a draft; without an entry, why nothing of it is read."""
+    columns = TableDraft(table, keys, draft)
+    draft.unused += [(line, table.path.name) for line in table.unread]
+    if columns.name in columns.keys.get("unused", ()):
+        draft.unused.append((f"table {columns.where}", "as stated"))
+        return
+    columns.take_columns()
+    stated = columns.keys.get("holds", "")
+    for kind in sorted(list_kinds(), key=lambda kind: kind.name != stated):
+        if entries := kind.propose(columns, kind.name == stated):
+            columns.keys["holds"] = kind.name
+            _name_unused(columns)
+            for name, of_needle in entries.items():
+                # the needle is shown first
+                _add_entry(columns, kind, name, columns.taken | of_needle | columns.taken)
+            return
+    headers = ", ".join(filter(None, table.headers))[:200]
+    problem = f"no column is known to hold coordinates: {headers or 'no headers'}"
+    draft.unused.append((f"table {columns.where}", problem))
+    if not OF_LAYERS & {column.meaning for column in columns.all}:
+        draft.ignored[draft.names[table.path]] = problem
+    elif "boundaries" not in draft.values:
+        columns.ask("table", name=columns.name, headers=headers)
+
+
+def _name_unused(columns: TableDraft) -> None:
+    """Name columns that nothing uses; numbers under an unknown header are assumed to mean nothing.
+
+    Of a column of two directions under an unknown header a person is asked.
+    """
+    for column in columns.list_free():
+        texts = {*column.texts}
+        are_sides = len(texts) == 2 and all(translate_side(text, "") != text for text in texts)
+        if are_sides and not column.is_known:
+            columns.ask_meaning(column, ["bevel_side", ""], {})
+    columns.draft.unused += [
+        (f"column {column.name}", columns.where)
+        for column in columns.all
+        if column.place not in columns.used and column.texts and column.meaning != "unit"
+    ]
+    names = [column.name for column in columns.list_unknown()]
+    for name in names:
+        columns.draft.assumed[f"unused.{name}"] = "not used: numbers under a header that is not known"
+    if unused := [*columns.keys.get("unused", []), *names]:
+        columns.keys["unused"] = unused
+
+
+def _add_entry(columns: TableDraft, kind: RowKind, name: str, taken: Columns) -> None:
+    """Add an entry of a needle, or of all, with units, words, labels of points, and what is left out."""
+    draft, has_points, names = columns.draft, kind.has_points, columns.names
+    records = {meaning: _spell(columns, meaning, places) for meaning, places in taken.items()}
+    if name:
+        records.setdefault("needle", {"value": name})
+    for meaning, parts in draft.columns.items():
+        beside = {key: part for key, part in parts.items() if key != "column"}
+        if meaning in records or (beside.keys() & {"source", "value"} and kind.placer):
+            records[meaning] = records.get(meaning, {}) | beside
+    for meaning, record in records.items():
+        of_meaning, is_point = taken.get(meaning, ()), meaning in COORDINATES and has_points
+        _add_unit(columns, meaning, record, of_meaning, is_point)
+        if meaning == "bevel_side" and "bevel_side" not in draft.values:
+            _ask_sides(columns, record, of_meaning)
+    kind.complete(columns, records)
+    if has_points and names and "pattern" not in records.get("needle", {"pattern": ""}):
+        statistics = sorted({name for name in names if find_meaning("statistic", name)})
+        if statistics and EXCLUDED not in records:  # rows in place of a needle
+            words = dict.fromkeys(statistics, EXCLUDED)
+            records[EXCLUDED] = {"column": records["needle"]["column"], "words": words}
+            draft.assumed[EXCLUDED] = f"{', '.join(statistics)}: no needles"
+        place = (draft.names[columns.table.path], columns.keys.get("sheet", ""))
+        draft.needles.setdefault(place, set()).update(names)
+    draft.add({**columns.keys, "columns": records}, columns.table.path)
+
+
+def _add_unit(
+    columns: TableDraft, meaning: str, record: Keys, taken: Sequence[Column], is_point: bool
+) -> None:
+    """Add a unit that the header does not state."""
+    draft, table, usual = columns.draft, columns.table, MEANINGS[meaning].unit
+    unit, is_free = draft.unit, meaning in COORDINATES and table.system is None
+    is_step = any(map(str.isdigit, unit))  # of a pixel: no unit of lengths in mm
+    has_unit = record.get("unit", "px") != "px"
+    if unit and is_free and not (has_unit and (is_step or not is_point)):
+        record["unit"] = unit  # of points also beside a header that states another one
+    elif usual in ("mm", "1/mm", "GPa") and not record.keys() & {"unit", "unit_column"}:
+        is_fact = usual == "1/mm" or (meaning in ATTRIBUTES and not is_point)
+        is_bare = is_fact and any(list_bare_numbers(text) for column in taken for text in column.texts)
+        unit = table.unit if usual == "mm" else ""
+        units = [column.name for column in columns.all if column.meaning == "unit" and column.texts]
+        if units:
+            record["unit_column"] = units[0]
+            return
+        if unit and (is_free or is_bare):
+            record["unit"] = unit
+        if is_bare:
+            draft.assumed[f"{meaning}.unit"] = f"{unit or usual}: {join_columns(taken)} states no unit"
+
+
+def _ask_sides(columns: TableDraft, record: Keys, taken: Sequence[Column]) -> None:
+    """Ask which sides of bevels words or numbers mean that state none by themselves."""
+    stated, unit = record.get("words", {}), record.get("unit", "")
+    texts = dict.fromkeys(text for column in taken for text in column.texts)
+    if not (unclear := [text for text in texts if text not in stated and not is_side(text, unit)]):
+        return
+    answers = dict[str, dict[str, str]]()
+    if all(columns.table.number(text) is not None for text in unclear):
+        answers["degrees"] = {"bevel_side.unit": "deg"}
+    for sides in permutations(("1", "-1")):
+        words = dict(zip(unclear, sides, strict=False))
+        answer = " ".join(f"{text}={side}" for text, side in words.items())
+        answers[answer] = {"bevel_side.words": to_inline_table(words)}
+    names = ", ".join(f"`{text}`" for text in unclear[:MAX_FLAGS])
+    columns.ask("bevel_side", answers, names=names, name=record.get("column", ""))
+
+
+def _spell(columns: TableDraft, meaning: str, taken: Sequence[Column]) -> Keys:
+    """Return how a mapping names columns, and the unit of the first."""
+    names = [column.name for column in taken]
+    spelled = {
+        "column": names[0] if len(names) == 1 else names,
+        "unit": taken[0].unit,
+        "axes": "".join(column.axis for column in taken) if meaning == "guide" else "",
+        "sign": 0 if meaning in columns.taken else columns.signs.get(meaning, 0),
+        "words": dict.fromkeys(columns.excluded, EXCLUDED) if meaning == EXCLUDED else {},
+    }
+    return {key: value for key, value in spelled.items() if value}

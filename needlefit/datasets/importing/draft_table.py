@@ -9,6 +9,7 @@ from itertools import count, pairwise, permutations
 from types import MappingProxyType
 
 from needlefit.datasets.importing.draft import Draft
+from needlefit.datasets.importing.layout import BLOCK
 from needlefit.datasets.importing.meanings import (
     MEANINGS,
     VECTORS,
@@ -21,7 +22,6 @@ from needlefit.datasets.importing.meanings import (
     read_header,
     split_unit,
 )
-from needlefit.datasets.importing.table_rows import BLOCK
 from needlefit.datasets.importing.tables import Table
 from needlefit.datasets.observations.tip_track import MIN_READINGS
 from needlefit.grouping import group_values
@@ -122,38 +122,44 @@ class TableDraft:
         """Take the columns whose headers are known; ask where one may mean two things."""
         blocked = self.taken.keys() | ({"deflection", "deflection_z"} if "y" in self.taken else set())
         blocked |= {"thickness"} if "boundaries" in self.taken else set()
-        known, free = defaultdict[str, list[Column]](list), self.list_free()
+        proposed, free = defaultdict[str, list[Column]](list), self.list_free()
         meanings = {column.place: self._list_meanings(column) for column in free}
         for column in free:
             if len(meanings[column.place]) == 1:
-                known[meanings[column.place][0]].append(column)
-        if "boundaries" in known:
-            known.pop("thickness", None)
+                proposed[meanings[column.place][0]].append(column)
+        if "boundaries" in proposed:
+            proposed.pop("thickness", None)
         for meaning in (*VECTORS, "guide"):  # columns x, y and z of a place
             axes = {column.axis: column for column in free if column.group == meaning}
             if "y" in axes or (axes and meaning == "guide"):
-                known[meaning] = [axes[axis] for axis in sorted(axes)]
-        if "depth" in known and not (known.keys() | blocked) & {"y", "deflection"}:
-            known["deflection"] = [one for one in known["tip"] if len(one.numbers) == len(one.texts)]
-        if "tool" in known:
-            self._ask_tool_names(known)
-        for key in [key for key in known if key not in MEANINGS or key in blocked or not known[key]]:
-            del known[key]
-        if "guide" in known and self.draft.values.get("guide") != "none":
+                proposed[meaning] = [axes[axis] for axis in sorted(axes)]
+        if "depth" in proposed and not (proposed.keys() | blocked) & {"y", "deflection"}:
+            proposed["deflection"] = [
+                column for column in proposed["tip"] if len(column.numbers) == len(column.texts)
+            ]
+        if "tool" in proposed:
+            self._ask_tool_names(proposed)
+        for key in [key for key in proposed if key not in MEANINGS or key in blocked or not proposed[key]]:
+            del proposed[key]
+        if "guide" in proposed and self.draft.values.get("guide") != "none":
             self.draft.assumed["guide"] = (
-                f"{join_columns(known['guide'])}: by its header; guide=none if it is no guide"
+                f"{join_columns(proposed['guide'])}: by its header; guide=none if it is no guide"
             )
-        if "needle" in known:
-            known["needle"] = self._choose_names(known)
+        if "needle" in proposed:
+            proposed["needle"] = self._choose_names(proposed)
         for column in free:
-            self.ask_meaning(column, meanings[column.place], known)
+            self.ask_meaning(column, meanings[column.place], proposed)
         trials = next((column for column in self.all if column.meaning == "trials"), None)
-        if trials and "point_sd" in known and any("mean" in text.casefold() for text in self.table.headers):
-            (column,) = known.pop("point_sd")[:1]
+        if (
+            trials
+            and "point_sd" in proposed
+            and any("mean" in text.casefold() for text in self.table.headers)
+        ):
+            (column,) = proposed.pop("point_sd")[:1]
             self.ask("point_sd", column=column, count=str(trials.name))
-        if EXCLUDED in known:
-            self._ask_excluded(known.pop(EXCLUDED)[0])
-        for meaning, columns in known.items():
+        if EXCLUDED in proposed:
+            self._ask_excluded(proposed.pop(EXCLUDED)[0])
+        for meaning, columns in proposed.items():
             self._take(meaning, columns)
 
     def _list_meanings(self, column: Column) -> list[str]:
@@ -171,13 +177,13 @@ class TableDraft:
             return ["depth"]
         return meaning.split("|")
 
-    def _choose_names(self, known: Mapping[str, Sequence[Column]]) -> list[Column]:
+    def _choose_names(self, proposed: Columns) -> list[Column]:
         """Return the columns that name needles: the first in which names come again, and what divides it."""
-        rows, candidates = self.table.rows, known["needle"]
+        rows, candidates = self.table.rows, proposed["needle"]
         repeated = [column for column in candidates if len({*column.texts}) < len(column.texts)]
         chosen = [*(repeated or candidates)[:1]]
-        for column in (*repeated[1:], *known.get("specimen", [])[:1]):
-            counts = [len({tuple(row[one.place] for one in (*chosen, *more)) for row in rows})
+        for column in (*repeated[1:], *proposed.get("specimen", [])[:1]):
+            counts = [len({tuple(row[part.place] for part in (*chosen, *more)) for row in rows})
                       for more in ((), (column,))]  # fmt: skip
             chosen += [column] if counts[0] < counts[1] <= len(rows) / 2 else []
         if len(chosen) > 1:
@@ -198,17 +204,16 @@ class TableDraft:
                 turn = next(k for k in count() if axis not in groups.get((k, group), ()))
                 groups.setdefault((turn, group), {})[axis] = [column]
         with_x = [axes for axes in groups.values() if "x" in axes]
-        if not with_x and not {"x", "depth"} & {*self.taken, *(one.meaning for one in self.all)}:
+        if not with_x and not {"x", "depth"} & {*self.taken, *(column.meaning for column in self.all)}:
             pairs = [pair for axes in groups.values() for pair in permutations(axes.values(), 2)]
             answers: dict[str, Mapping[str, str]] = {
-                str(along.name): {"x.column": str(along.name), "y.column": str(across.name)}
-                for (along,), (across,) in pairs
+                str(along[0].name): name_columns({"x": along, "y": across}) for along, across in pairs
             }
             is_timed = any(column.meaning == "time" for column in self.all)
             if is_timed:  # another table has the depths at these times
                 answers["depths at times, in another table"] = {"holds": "tracks"}
             if pairs and not (is_timed and self.keys.get("holds") == "tracks"):
-                self.draft.ask_column("x", self.where, answers)
+                self.ask("column", answers, key="x")
         lacking = [axes for axes in groups.values() if "x" not in axes]
         if len(with_x) == 1 and all("y" in axes for axes in lacking):
             for axes in lacking:
@@ -233,13 +238,13 @@ class TableDraft:
             parts["name"] = column.name
         self.draft.ask(question, self.where, answers, **parts)
 
-    def ask_meaning(self, column: Column, meanings: Sequence[str], known: dict[str, list[Column]]) -> None:
+    def ask_meaning(self, column: Column, meanings: Sequence[str], proposed: Columns) -> None:
         """Ask which of several meanings a column has, if the first is not stated."""
-        stated = known.keys() | self.taken.keys() | self.draft.values.keys()
+        stated = proposed.keys() | self.taken.keys() | self.draft.values.keys()
         if len(meanings) < 2 or meanings[0] in stated:
             return
         answers = {
-            meaning or "nothing": {f"{meaning}.column": str(column.name)} if meaning else _leave(column.name)
+            meaning or "nothing": name_columns({meaning: [column]}) if meaning else _leave(column.name)
             for meaning in meanings
         }
         texts = [f"{meaning} ({MEANINGS[meaning].text})" if meaning else "not used" for meaning in meanings]
@@ -258,7 +263,7 @@ class TableDraft:
             )
             return
         if 1 < len(values) <= MAX_FLAGS:
-            key, name = f"{EXCLUDED}.words", {f"{EXCLUDED}.column": str(column.name)}
+            key, name = f"{EXCLUDED}.words", name_columns({EXCLUDED: [column]})
             answers = {value or "blank": name | {key: to_inline_table({value: EXCLUDED})} for value in values}
             self.ask(EXCLUDED, answers | {"none": _leave(column.name)}, column)
 
@@ -270,21 +275,18 @@ class TableDraft:
         names = join_names([*alone], MAX_FLAGS)
         self.ask("tools", {**answers, "each": {"guide": "none"}}, column, names=names)
 
-    def _ask_tool_names(self, known: dict[str, list[Column]]) -> None:
+    def _ask_tool_names(self, proposed: Columns) -> None:
         """Take names of tools as those of needles; ask which of several that stand in rows is the tip."""
-        (column,) = known.pop("tool")[:1]
+        (column,) = proposed.pop("tool")[:1]
         names = [*dict.fromkeys(column.texts)]
         if "guide" in self.draft.values or not 1 < len(names) <= MAX_FLAGS:
-            known["needle"].append(column)
+            proposed["needle"].append(column)
             return
-        flags, alone = [column, *known.get(EXCLUDED, ())[:1]], dict[str, Mapping[str, str]]()
+        flags, alone = [column, *proposed.get(EXCLUDED, ())[:1]], dict[str, Mapping[str, str]]()
         lost = sorted({text for text in flags[-1].texts if find_meaning("flag", text) == EXCLUDED})
         for name in names:
             words = dict.fromkeys((*(other for other in names if other != name), *lost), EXCLUDED)
-            alone[name] = {
-                f"{EXCLUDED}.column": "|".join(str(flag.name) for flag in flags),
-                f"{EXCLUDED}.words": to_inline_table(words),
-            }
+            alone[name] = name_columns({EXCLUDED: flags}) | {f"{EXCLUDED}.words": to_inline_table(words)}
         guided = dict(zip(names, ({"guide": name} for name in reversed(names)), strict=True))
         self.ask_tools(alone, guided, column)
 
@@ -319,8 +321,8 @@ class TableDraft:
         self, meaning: str, columns: Sequence[Column] = (), further: Answers = MappingProxyType({})
     ) -> None:
         """Ask which column has a meaning, perhaps one of some; `further` answers state something else."""
-        answers = {str(column.name): {f"{meaning}.column": str(column.name)} for column in columns}
-        self.draft.ask_column(meaning, self.where, {**answers, **further})
+        answers = {str(column.name): name_columns({meaning: [column]}) for column in columns}
+        self.ask("column", {**answers, **further}, key=meaning)
 
     @cached_property
     def changing(self) -> set[str]:
@@ -401,9 +403,17 @@ def join_columns(columns: Iterable[Column]) -> str:
     return ", ".join(str(column.name) for column in columns)
 
 
-def spell_points(points: Iterable[Columns]) -> dict[str, dict[str, str]]:
+def name_columns(columns: Mapping[str, Sequence[Column]]) -> dict[str, str]:
+    """Return the keys that state columns by meaning."""
+    return {
+        f"{meaning}.column": "|".join(str(column.name) for column in of_meaning)
+        for meaning, of_meaning in columns.items()
+    }
+
+
+def name_points(points: Iterable[Columns]) -> dict[str, dict[str, str]]:
     """Return the keys that state the columns of the points of needles, by the first of each."""
-    keys = [{f"{axis}.column": str(column.name) for axis, (column,) in axes.items()} for axes in points]
+    keys = map(name_columns, points)
     return {next(iter(of_needle.values())): of_needle for of_needle in keys}
 
 

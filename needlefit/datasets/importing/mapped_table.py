@@ -2,11 +2,9 @@
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -23,40 +21,25 @@ from needlefit.datasets.importing.meanings import (
     read_quantity,
 )
 from needlefit.datasets.importing.stated import Stated, name_set
-from needlefit.datasets.importing.table_rows import lay_out
-from needlefit.datasets.importing.tables import (
-    SHEET_SUFFIXES,
-    TEXT_SUFFIXES,
-    Table,
-    name_files,
-    name_stem,
-    read_grids,
-    read_structured,
-)
+from needlefit.datasets.importing.tables import Table, name_stem
 from needlefit.errors import DataError
-from needlefit.project.locate import join_names, sort_by_similarity
-from needlefit.schemas.mapping import POINT_ROWS, MappingRecord, TableRecord
+from needlefit.project.locate import sort_by_similarity
+from needlefit.schemas.mapping import TableRecord
 
-MAX_LISTED_NAMES = 4  # largest number of names in a message
 ACROSS = ("deflection", "deflection_z", "y", "z")  #: meanings whose numbers may be percents of the depth
 
 
-@dataclass(frozen=True)
-class MappedTable:
-    """A table, the entry of the mapping that reads it, and the number of that entry."""
+@dataclass(frozen=True, kw_only=True)
+class MappedTable(Table):
+    """A table with the entry of the mapping that reads it, and the number of that entry."""
 
-    table: Table
     record: TableRecord
-    number: int  # from 1
-
-    @property
-    def has_points(self) -> bool:
-        """Whether its rows are places, in the unit of coordinates."""
-        return self.record.holds in POINT_ROWS
+    entry: int  # from 1
+    has_points: bool  # its rows are places, in the unit of coordinates
 
     def name_edit(self, key: str, value: str = "HEADER") -> str:
         """Return the option that states a key of this table, as `columns.x.unit`."""
-        return name_set(f"tables.{self.number}.{key}", value)
+        return name_set(f"tables.{self.entry}.{key}", value)
 
     @property
     def kept_rows(self) -> list[int]:
@@ -68,28 +51,28 @@ class MappedTable:
         """The name of the needle of each row, as its cells are written."""
         return ["-".join(filter(None, cells)) for cells in self.cells["needle"]]
 
-    def where(self, n: int, meaning: str) -> str:
+    def place_cell(self, n: int, meaning: str) -> str:
         """Return the place of the cell of a meaning in a row."""
         record = self.record.columns.get(meaning)
         if record is None or not record.column:
-            return self.table.places[n]
-        column, place = self.find(meaning, record.columns[0]) + 1, self.table.places[n]
-        is_above = column > len(self.table.headers) - len(self.table.remarked)
-        above = f"{self.table.where}, `{self.table.headers[column - 1]}`"
+            return self.places[n]
+        column, place = self.find_column(meaning, record.columns[0]) + 1, self.places[n]
+        is_above = column > len(self.headers) - len(self.remarked)
+        above = f"{self.where}, `{self.headers[column - 1]}`"
         return above if is_above else f"{place}, column {column}"
 
-    def find(self, meaning: str, name: str | int) -> int:
+    def find_column(self, meaning: str, name: str | int) -> int:
         """Return the column with a header or number; DataError with the nearest name if there is none."""
-        column = self.table.find(name)
+        column = self.find(name)
         if column is not None:
             return column
-        headers = [text for text in self.table.headers if text]
+        headers = [text for text in self.headers if text]
         near = sort_by_similarity(str(name), headers)
         raise DataError(
             f"has no one column {name!r}, of which {meaning} is read",
-            expected=f"one of {', '.join(headers)}, or a number from 1 to {len(self.table.headers)}",
+            expected=f"one of {', '.join(headers)}, or a number from 1 to {len(self.headers)}",
             fix=self.name_edit(f"columns.{meaning}.column", near[0] if near else "1"),
-            where=self.table.where,
+            where=self.where,
         )
 
     def require(self, *meanings: str) -> None:
@@ -99,24 +82,23 @@ class MappedTable:
                 f"nothing states {' and '.join(lacking)} of its {self.record.holds}",
                 expected=f"columns of {', '.join(meanings)}",
                 fix=" ".join(self.name_edit(f"columns.{meaning}.column") for meaning in lacking),
-                where=self.table.where,
+                where=self.where,
             )
 
     def list_columns(self, meaning: str) -> list[int]:
         """Return the columns of a meaning; none where a value or a name stands in their place."""
         record = self.record.columns[meaning]
-        return [self.find(meaning, name) for name in record.columns] if record.column else []
+        return [self.find_column(meaning, name) for name in record.columns] if record.column else []
 
     @cached_property
     def cells(self) -> Mapping[str, list[list[str]]]:
         """The texts of each meaning in each row, one of each column; empty where it was not measured."""
-        path = self.table.path
         names = {
-            "file": name_stem(path, self.table.file),
-            "folder": path.absolute().parent.name,
-            "sheet": self.table.sheet,
+            "file": name_stem(self.path, self.file),
+            "folder": self.path.absolute().parent.name,
+            "sheet": self.sheet,
         }
-        cells = defaultdict[str, list[list[str]]](lambda: [[] for _ in self.table.rows])
+        cells = defaultdict[str, list[list[str]]](lambda: [[] for _ in self.rows])
         for meaning, record in self.record.columns.items():
             columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
             is_place = meaning in COORDINATES and self.has_points
@@ -128,7 +110,7 @@ class MappedTable:
                     else record.words.get(text, match[1] if (match := pattern.fullmatch(text)) else text)
                     for text in [row[m] for m in columns] or [value]
                 ]
-                for row in self.table.rows
+                for row in self.rows
             ]
         return cells
 
@@ -137,7 +119,7 @@ class MappedTable:
         record = self.record.columns[meaning]
         if record.unit_column is None:
             return record.unit
-        text = self.table.rows[n][self.find(meaning, record.unit_column)]
+        text = self.rows[n][self.find_column(meaning, record.unit_column)]
         return find_meaning("unit", text) or text
 
     def read_factor(self, meaning: str, n: int) -> float:
@@ -154,23 +136,23 @@ class MappedTable:
                 f"the unit of {meaning} is {unit!r}",
                 expected=f"{', '.join(factors)}, or the length of a step: 0.07 mm",
                 fix=self.name_edit(f"columns.{meaning}.unit", usual),
-                where=self.where(n, meaning),
+                where=self.place_cell(n, meaning),
             )
         return number * factors[plain] * self.record.columns[meaning].sign
 
     def read_number(self, meaning: str, n: int, k: int = 0) -> float:
         """Return a cell of a row, that of the column `k`, in mm or 1/mm; DataError if it is no number."""
         text = self.cells[meaning][n][k]
-        if (value := self.table.number(text)) is None:
+        if (value := self.number(text)) is None:
             fix = "write one number in each cell"
             if not any(map(str.isdigit, text)):
                 missing = self.name_edit("missing", f'["{text[:20]}"]')
                 fix += f"; or, if it was not measured: {missing}"
             raise DataError(
                 f"{meaning} is {text[:40]!r}",
-                expected=f"a number with the decimal sign {self.table.decimal!r}",
+                expected=f"a number with the decimal sign {self.decimal!r}",
                 fix=fix,
-                where=self.where(n, meaning),
+                where=self.place_cell(n, meaning),
             )
         return value * self.read_factor(meaning, n)
 
@@ -181,7 +163,7 @@ class MappedTable:
     def read_side(self, n: int) -> Stated:
         """Return where the bevel faces in a row."""
         text = "".join(self.cells["bevel_side"][n])
-        return Stated(text, self.read_unit("bevel_side", n), self.where(n, "bevel_side"))
+        return Stated("bevel_side", text, self.read_unit("bevel_side", n), self.place_cell(n, "bevel_side"))
 
     def read_facts(self, rows: Sequence[int], varying: Sequence[str] = ()) -> dict[str, Stated]:
         """Return what columns state once of the needle, the specimen or all in some rows.
@@ -210,12 +192,14 @@ class MappedTable:
                     f"{meaning} is {text[:40]!r} and {texts[other][:40]!r}",
                     expected="one value",
                     fix=f"correct the cell; or, if another column names needles: {needles}",
-                    where=self.where(other, meaning),
+                    where=self.place_cell(other, meaning),
                 )
-            value = self.table.number(text)
+            value = self.number(text)
             if value is not None and meaning not in ("medium", "specimen", "bevel_side"):
                 text = f"{value:.10g}"  # with a decimal point
-            stated[meaning] = Stated(text, self.read_unit(meaning, first), self.where(first, meaning))
+            stated[meaning] = Stated(
+                meaning, text, self.read_unit(meaning, first), self.place_cell(first, meaning)
+            )
         if "thickness" in stated:
             stated["boundaries"] = stated.pop("thickness").add_up()
         return stated
@@ -224,38 +208,3 @@ class MappedTable:
 def _is_missing(text: str) -> bool:
     """Whether a cell states that a coordinate was not measured."""
     return text in CODES or text.lower() in MISSING
-
-
-def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Iterator[MappedTable]:
-    """Yield each table that the mapping reads; DataError if one of its files or sheets is not there."""
-    names = name_files(paths)
-    for number, record in enumerate(mapping.tables, 1):
-        matching = [path for path in paths if any(map(path.absolute().match, record.files))]
-        if not matching:
-            near = sort_by_similarity(record.files[0], [*names.values()])
-            raise DataError(
-                f"tables.{number} reads {join_names(record.files, 3)}, and no file has this name",
-                expected=join_names([*names.values()], MAX_LISTED_NAMES),
-                fix=name_set(f"tables.{number}.files", f'["{near[0] if near else "*"}"]'),
-                where=where,
-            )
-        tables = [
-            replace(table, file=names[path]) for path in matching for table in _read_tables(path, record)
-        ]
-        yield from (MappedTable(table, record, number) for table in tables)
-        if not tables:
-            raise DataError(
-                f"has no sheet {record.sheet!r}",
-                expected="a sheet of this name",
-                fix=name_set(f"tables.{number}.sheet", "*"),
-                where=f"{matching[0]}",
-            )
-
-
-def _read_tables(path: Path, record: TableRecord) -> list[Table]:
-    if path.suffix.lower() not in (*TEXT_SUFFIXES, *SHEET_SUFFIXES):
-        return [read_structured(path)[0]]
-    grids = [
-        grid for grid in read_grids(path, record) if not grid.sheet or fnmatchcase(grid.sheet, record.sheet)
-    ]
-    return [lay_out(grid, record) for grid in grids]

@@ -9,10 +9,9 @@ import numpy as np
 
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.first_study import FirstChoices, free_guide_distance
-from needlefit.datasets.importing.curve_answers import CurveAnswers, Placer
-from needlefit.datasets.importing.curves import ImportContent
-from needlefit.datasets.importing.kinds import list_kinds
+from needlefit.datasets.importing.kinds import CurveAnswers, Placer, list_kinds
 from needlefit.datasets.importing.meanings import find_meaning, read_quantity
+from needlefit.datasets.importing.read import ImportContent
 from needlefit.datasets.importing.stated import Settler, Stated, name_set
 from needlefit.datasets.insertion import GUIDE_STILL_MM, Pose
 from needlefit.errors import DataError
@@ -41,10 +40,10 @@ class ImportPlan(CurveAnswers):
         self.placers = list[Placer]()
         self.usual = dict[str, tuple[str | None, str]]()
         for kind in reversed(list_kinds()):
-            own = [curve for curve in content.curves if curve.holds == kind.name]
-            others = [curve for curve in content.curves if curve.holds != kind.name]
-            if own and kind.placer is not None:
-                self.placers.append(kind.placer(own, settler, self.surfaces, others))
+            curves = [curve for curve in content.curves if curve.kind is kind]
+            others = [curve for curve in content.curves if curve.kind is not kind]
+            if curves and kind.placer is not None:
+                self.placers.append(kind.placer(curves, settler, self.surfaces, others))
         self.refuse_moved_guide()
         for placer in self.placers:
             placer.settle_places()
@@ -97,13 +96,13 @@ class ImportPlan(CurveAnswers):
         sensors = [sensor for curve in self.curves for sensor in curve.sensors]
         lacking = [sensor for sensor in sensors if self.stated("curvature_sd") or np.isnan(sensor[3])]
         if lacking:
-            sd = 1e-3 * self.settle("curvature_sd").to_number("curvature_sd", is_above=True)
+            sd = 1e-3 * self.settle("curvature_sd").to_number(is_above=True)
             for sensor in lacking:
                 sensor[3] = sd
 
     def refuse_moved_guide(self) -> None:
         """DataError if a guide moved beside shapes or tips: only readings on the way have its places."""
-        guided = [curve for curve in self.curves if curve.guide is not None and curve.holds != "tracks"]
+        guided = [curve for curve in self.curves if curve.guide is not None and not curve.kind.is_track]
         if not guided or self.stated("guide") == "none":
             return
         places = np.concatenate([curve.guide for curve in guided if curve.guide is not None])
@@ -187,7 +186,7 @@ class ImportPlan(CurveAnswers):
             curve.needle = read_needle(*cells)
             if curve.needle.length_mm <= curve.depth:
                 expected = f"more than the {curve.depth:.4g} mm of {curve.name} in tissue"
-                raise cells[0].error("needle_length", expected)
+                raise cells[0].error(expected)
 
     def settle_guide_distances(self) -> dict[str, dict[str, Any]]:
         """Fill in where guides hold needles, mm before the tissue; return the parameter of a fitted distance.
@@ -201,19 +200,19 @@ class ImportPlan(CurveAnswers):
         answers = self.each("guide_distance", usual, reason)
         first, texts = answers[self.curves[0]], {answer.text for answer in answers.values()}
         if "none" in texts and usual == "free":
-            raise first.error("guide_distance", "mm, or `free`: the guide moved")
+            raise first.error("mm, or `free`: the guide moved")
         if texts == {"free"} or (is_usual and texts != {"none"}):
             if len(texts) > 1:
-                raise first.error("guide_distance", "one value of all")
+                raise first.error("one value of all")
             parameter = (
-                {"fixed": first.to_number("guide_distance", is_above=True)}
+                {"fixed": first.to_number(is_above=True)}
                 if first.text != "free"
                 else (free_guide_distance(min(curve.needle.length_mm - curve.depth for curve in self.curves)))
             )
             return {"guide_distance_mm": parameter}
         for curve, answer in answers.items():
             if answer.text != "none":
-                curve.fill(guide_distance=answer.to_number("guide_distance", is_above=True))
+                curve.fill(guide_distance=answer.to_number(is_above=True))
         return {}
 
 
@@ -223,19 +222,19 @@ def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -
     number, unit = read_quantity(outer.text) or (0.0, "")
     if (unit or outer.unit) == "G":
         if number not in GAUGES_MM:
-            raise outer.error("diameter", f"mm, or a gauge of {min(GAUGES_MM)} to {max(GAUGES_MM)}")
+            raise outer.error(f"mm, or a gauge of {min(GAUGES_MM)} to {max(GAUGES_MM)}")
         outer = replace(outer, text=f"{GAUGES_MM[int(number)]}", unit="mm")
-    diameter, bore = outer.to_number("diameter", is_above=True), inner.to_number("inner_diameter")
+    diameter, bore = outer.to_number(is_above=True), inner.to_number()
     if bore >= diameter:
-        raise inner.error("inner_diameter", f"less than {diameter:g} mm")
+        raise inner.error(f"less than {diameter:g} mm")
     material = find_meaning("value", modulus.text)
     modulus = replace(modulus, text=material) if material.endswith("GPa") else modulus
-    if modulus.to_number("modulus") < MIN_NEEDLE_GPA:
+    if modulus.to_number() < MIN_NEEDLE_GPA:
         needed = f"{MIN_NEEDLE_GPA:g} GPa or more, of the needle: that of the tissue is fitted"
-        raise modulus.error("modulus", needed, f"state {name_set('modulus', 'steel')}, or its own")
+        raise modulus.error(needed, f"state {name_set('modulus', 'steel')}, or its own")
     return NeedleRecord(
-        length_mm=length.to_number("needle_length", is_above=True),
+        length_mm=length.to_number(is_above=True),
         outer_diameter_mm=diameter,
         inner_diameter_mm=bore,
-        youngs_modulus_gpa=modulus.to_number("modulus", is_above=True),
+        youngs_modulus_gpa=modulus.to_number(is_above=True),
     )

@@ -1,19 +1,25 @@
 """Prepare an import: a mapping that is given, or drafted and completed; what it reads; and the plan."""
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.importing.curves import ImportContent
+from needlefit.arrays import Floats
 from needlefit.datasets.importing.draft import Draft
-from needlefit.datasets.importing.draft_files import draft_mapping, list_different, list_entries
-from needlefit.datasets.importing.examples import find_examples
-from needlefit.datasets.importing.mapped_table import list_tables
+from needlefit.datasets.importing.draft_files import (
+    EXAMPLE_SHEET,
+    draft_mapping,
+    list_different,
+    list_entries,
+)
+from needlefit.datasets.importing.kinds import KINDS, ImportedCurve
 from needlefit.datasets.importing.meanings import (
     COORDINATES,
+    CURVATURE_AXES,
     MEANINGS,
     VALUES,
     Pairs,
@@ -21,11 +27,14 @@ from needlefit.datasets.importing.meanings import (
     list_factors,
 )
 from needlefit.datasets.importing.place import ImportPlan
-from needlefit.datasets.importing.read import read_curves, read_mapped
-from needlefit.datasets.importing.stated import Question, Settler, UnansweredError, name_set
+from needlefit.datasets.importing.read import ImportContent, list_tables, read_curves, read_mapped
+from needlefit.datasets.importing.stated import Question, Settler, UnansweredError, make_question, name_set
+from needlefit.datasets.importing.tables import read_workbook
+from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import ConfigError, DataError
+from needlefit.grouping import group_values
 from needlefit.project.toml import check, load, override
-from needlefit.schemas.mapping import POINT_ROWS, MappingRecord
+from needlefit.schemas.mapping import MappingRecord
 
 STATED_MM = (1.0, 2000.0)  # least and greatest length (mm) of the longest needle by a stated unit
 # of a remark: `0,085 mm/px`, `1 px = 0.085 mm`
@@ -36,9 +45,11 @@ _SCALES = (
 )
 _GAUGE = re.compile(r"(?<![^\W_])(1\d|2\d|3[0-4]) ?G(?![^\W_])")  # of a name or a line: `22G x 150 mm`
 MAX_LENGTH_RATIO = 8.0  # of the longest needle and the shortest: of cm among mm it is near 10
+WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
+POINT_DECIMALS = 3  # decimals (of mm) by which examples are recognised: another unit rounds them otherwise
+Places = frozenset[tuple[float, ...]]
 DRAFT = "the draft of the mapping"  #: its place in messages
 DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")  # assumptions that are listed first
-CURVATURES = {"curvature_y", "curvature_z"}  # meanings whose greatest value is of both
 
 
 @dataclass(frozen=True)
@@ -166,7 +177,7 @@ def _settle_units(draft: Draft, files: Sequence[Path]) -> None:
         column
         for table in draft.tables
         for meaning, column in table["columns"].items()
-        if meaning in COORDINATES and "unit_column" not in column and table["holds"] in POINT_ROWS
+        if meaning in COORDINATES and "unit_column" not in column and KINDS[table["holds"]].has_points
         if column.get("unit", "px") == "px"
     ]
     if any("unit" in column for column in lacking):
@@ -193,7 +204,7 @@ def _settle_units(draft: Draft, files: Sequence[Path]) -> None:
             is_open = is_curvature and "unit" not in draft.columns.get(meaning, {})
             if not (f"{meaning}.unit" in draft.assumed or is_open) or not MEANINGS[meaning].likely:
                 continue
-            alike = [*CURVATURES & mapped.record.columns.keys()] if is_curvature else [meaning]
+            alike = [*mapped.record.columns.keys() & {*CURVATURE_AXES}] if is_curvature else [meaning]
             texts = {cell for key in alike for cells in mapped.cells[key] for cell in cells}
             numbers = sorted(abs(number) for text in texts for number in list_bare_numbers(text) if number)
             units, unit = (
@@ -203,7 +214,7 @@ def _settle_units(draft: Draft, files: Sequence[Path]) -> None:
             if numbers and unit not in units:
                 answers = {name: {f"{key}.unit": name for key in sorted(alike)} for name in units}
                 shown = f"{numbers[-1]:g} {unit}"
-                draft.ask("length", mapped.table.path.name, answers, key=meaning, shown=shown)
+                draft.ask("length", mapped.path.name, answers, key=meaning, shown=shown)
 
 
 def _list_likely(meaning: str, numbers: Sequence[float]) -> list[str]:
@@ -227,10 +238,32 @@ def _require_lengths(content: ImportContent, record: MappingRecord) -> None:
             ),
             where=content.curves[0].points.where(),
         )
-    shapes = [one for one in content.curves if one.holds == "shapes" and "depth" not in one.stated]
+    shapes = [curve for curve in content.curves if curve.kind.has_shape and "depth" not in curve.stated]
     short = min(shapes, key=lambda curve: curve.reach, default=None)
     if short is None or "lengths" in record.values or longest < MAX_LENGTH_RATIO * short.reach:
         return
-    answers = {"differ": {"lengths": "differ"}, f"without {short.name}": {"leave_out": short.name}}
-    text = f"{short.name} is {short.reach:.3g} mm long, the longest needle {longest:.3g} mm. Is this right?"
-    raise UnansweredError(Question("", text, answers, short.points.where()))
+    where = short.points.where()
+    raise UnansweredError(
+        make_question("lengths", where, name=short.name, reach=short.reach, longest=longest)
+    )
+
+
+# ---- the workbook that ships
+
+
+def find_examples(curves: Iterable[ImportedCurve]) -> list[str]:
+    """Return the names of the curves, in mm, all of whose points are points of one example."""
+    lines = {curve.name: curve.line for curve in curves if len(curve.line) >= MIN_POINTS}
+    return [name for name, line in lines.items() if any(map(_place(line).issubset, _load_examples()))]
+
+
+@cache
+def _load_examples() -> list[Places]:
+    """Return the points of each example."""
+    _, *rows = dict(read_workbook({}, str(WORKBOOK_FILE)))[f"{EXAMPLE_SHEET} points"]
+    lines = group_values((name, point) for name, *point in rows)
+    return [_place(np.array(line, dtype=np.float64)) for line in lines.values()]
+
+
+def _place(line: Floats) -> Places:
+    return frozenset(map(tuple, (line.round(POINT_DECIMALS) + 0.0).tolist()))

@@ -3,8 +3,9 @@
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,18 @@ from needlefit.datasets.columns import make_id
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.markups import read_plane
-from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
-from needlefit.datasets.importing.kinds import KINDS, list_kinds
-from needlefit.datasets.importing.mapped_table import MAX_LISTED_NAMES, MappedTable, list_tables
+from needlefit.datasets.importing.kinds import KINDS, ImportedCurve, list_kinds
+from needlefit.datasets.importing.layout import lay_out
+from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.stated import name_set
-from needlefit.datasets.importing.tables import name_files
+from needlefit.datasets.importing.tables import (
+    SHEET_SUFFIXES,
+    TEXT_SUFFIXES,
+    Table,
+    name_files,
+    read_grids,
+    read_structured,
+)
 from needlefit.datasets.layers import find_hole, find_length_tolerance, find_surface_faults
 from needlefit.datasets.points import Points
 from needlefit.errors import DataError
@@ -33,13 +41,25 @@ from needlefit.geometry.surfaces import (
 )
 from needlefit.grouping import group_values
 from needlefit.project.folders import sha256
-from needlefit.project.locate import join_names
-from needlefit.schemas.mapping import MappingRecord
+from needlefit.project.locate import join_names, sort_by_similarity
+from needlefit.schemas.mapping import MappingRecord, TableRecord
 
 MAX_CURVES = 2000  # largest number of needles, and of files: more is a wrong folder
+MAX_LISTED_NAMES = 4  # largest number of names in a message
 MAX_NAME_CHARS = 60  # longest name of a needle (characters)
 PLANE_SIZE_MM = 400.0  # edge of the sheet (mm) that stands for a plane
 MIN_PLANE_PART = 0.05  # smallest extent of its points across the longest one, as a fraction of that
+
+
+@dataclass(frozen=True)
+class ImportContent:
+    """What the files of an import hold, as the mapping reads them."""
+
+    curves: list[ImportedCurve]
+    surfaces: list[Surface]  # between the layers, in their order
+    files: Mapping[str, str]  # SHA-256 of each file, by name
+    left_out: Sequence[str]  # points without a measured coordinate, counted for each table
+    tables: Sequence[MappedTable]  # as they were read
 
 
 def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> ImportContent:
@@ -133,12 +153,52 @@ def _fit_plane(path: Path) -> Surface:
     return make_sheet(path.name.partition(".")[0], center, axes[2], PLANE_SIZE_MM, 2)
 
 
+# ---- tables
+
+
+def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Iterator[MappedTable]:
+    """Yield each table that the mapping reads; DataError if one of its files or sheets is not there."""
+    names = name_files(paths)
+    for number, record in enumerate(mapping.tables, 1):
+        matching = [path for path in paths if any(map(path.absolute().match, record.files))]
+        if not matching:
+            near = sort_by_similarity(record.files[0], [*names.values()])
+            raise DataError(
+                f"tables.{number} reads {join_names(record.files, 3)}, and no file has this name",
+                expected=join_names([*names.values()], MAX_LISTED_NAMES),
+                fix=name_set(f"tables.{number}.files", f'["{near[0] if near else "*"}"]'),
+                where=where,
+            )
+        tables = [
+            replace(table, file=names[path]) for path in matching for table in _read_tables(path, record)
+        ]
+        has_points = KINDS[record.holds].has_points
+        for table in tables:
+            yield MappedTable(**vars(table), record=record, entry=number, has_points=has_points)
+        if not tables:
+            raise DataError(
+                f"has no sheet {record.sheet!r}",
+                expected="a sheet of this name",
+                fix=name_set(f"tables.{number}.sheet", "*"),
+                where=f"{matching[0]}",
+            )
+
+
+def _read_tables(path: Path, record: TableRecord) -> list[Table]:
+    if path.suffix.lower() not in (*TEXT_SUFFIXES, *SHEET_SUFFIXES):
+        return [read_structured(path)]
+    grids = [
+        grid for grid in read_grids(path, record) if not grid.sheet or fnmatchcase(grid.sheet, record.sheet)
+    ]
+    return [lay_out(grid, record) for grid in grids]
+
+
 # ---- points
 
 
 def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedCurve]:
     """Yield the needles of a table of points, each with the points that were measured, in their order."""
-    table, columns, kind = mapped.table, mapped.record.columns, KINDS[mapped.record.holds]
+    columns, kind = mapped.record.columns, KINDS[mapped.record.holds]
     is_angle = "tangent" in columns and "x" not in columns
     is_deflection = not is_angle and ("deflection" in columns or "x" not in columns)
     across = ("deflection", "deflection_z") if "deflection" in columns else ("y", "z")
@@ -158,18 +218,18 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
                     points.append([mapped.read_number(axis, n, k) for axis in axes])
                 else:
                     places = (mapped.list_columns(axis)[k : k + 1] for axis in axes)
-                    missing += any(table.rows[n][place] for of_axis in places for place in of_axis)
+                    missing += any(mapped.rows[n][place] for of_axis in places for place in of_axis)
         if missing:
-            left_out.append(f"{missing} of {name or table.name}")
+            left_out.append(f"{missing} of {name or mapped.name}")
         if not points:
             continue
         values = np.pad(np.array(points), ((0, 0), (0, 3 - len(axes))))
         values = integrate_angles(*values.T[:2]) if is_angle else values
-        lines = np.array([table.lines[n] for n in rows], dtype=np.int64) if table.lines else None
+        lines = np.array([mapped.lines[n] for n in rows], dtype=np.int64) if mapped.lines else None
         curve = ImportedCurve(
-            name or table.name,
-            Points(Path(table.where), values, lines, _read_sds(mapped, rows)),
-            mapped.record.holds,
+            name or mapped.name,
+            Points(Path(mapped.where), values, lines, _read_sds(mapped, rows)),
+            kind,
             mapped.read_facts(rows, kind.varying),
             is_deflection=is_deflection,
             is_timed=is_timed,
@@ -200,8 +260,8 @@ def _read_sds(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
     sds = mapped.read_numbers("point_sd", rows)
     if record.divide_by_root is None:
         return sds
-    column = mapped.find("point_sd", record.divide_by_root)
-    return sds / np.sqrt([mapped.table.number(mapped.table.rows[n][column]) or 1.0 for n in rows])
+    column = mapped.find_column("point_sd", record.divide_by_root)
+    return sds / np.sqrt([mapped.number(mapped.rows[n][column]) or 1.0 for n in rows])
 
 
 def _read_guide(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
@@ -218,7 +278,7 @@ def _read_guide(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
 
 def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     """Add to needles what the rows of a table state of them: facts, turns or curvatures."""
-    record, table, kind = mapped.record, mapped.table, KINDS[mapped.record.holds]
+    record, kind = mapped.record, KINDS[mapped.record.holds]
     if record.of == "all":
         for curve in curves:
             kind.read(mapped, curve, mapped.kept_rows)
@@ -227,12 +287,12 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     names = ["".join(cells) for cells in mapped.cells["specimen"]] if by_specimen else mapped.names
     if kind.placer is not None:
         if "needle" not in record.columns:
-            names = [table.name for _ in names]
+            names = [mapped.name for _ in names]
         taken = {curve.name for curve in curves}
         paired = pair_names(names, taken)
         for name in dict.fromkeys(name for name in names if name and name not in paired):
-            points = Points(table.path, np.empty((0, 3)))
-            curves.append(ImportedCurve(_make_name(name, taken), points, kind.name))
+            points = Points(mapped.path, np.empty((0, 3)))
+            curves.append(ImportedCurve(_make_name(name, taken), points, kind))
             taken.add(curves[-1].name)
     filled = [n for n in mapped.kept_rows if any(any(mapped.cells[key][n]) for key in record.columns)]
     rows = group_values((names[n], n) for n in filled)
@@ -242,7 +302,7 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
             f"names no {record.of}",
             expected="a name in each row",
             fix=f"fill it in; or, if the cell above counts: {edit}",
-            where=table.places[blank[0]],
+            where=mapped.places[blank[0]],
         )
     keys = {_make_key(name) for name in rows}
     called = {
@@ -256,17 +316,17 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     pairs = pair_names(rows, called.values())
     strangers = [name for name in rows if name not in pairs]
     without = [*dict.fromkeys(name for name in called.values() if name not in pairs.values())]
-    if strangers or (without and kind.name == "facts"):
+    if strangers or (without and kind.is_of_each):
         problem = f"no row is about {join_names(without, MAX_LISTED_NAMES)}"
         if strangers:
             problem = f"no {record.of} is called {join_names(strangers, MAX_LISTED_NAMES)}"
         listed = join_names([*without, *pairs.values()], MAX_LISTED_NAMES)
-        unused = name_set("unused", json.dumps([table.sheet or table.path.name]))
+        unused = name_set("unused", json.dumps([mapped.sheet or mapped.path.name]))
         raise DataError(
             problem,
             expected=f"a row for each {record.of}: {listed}",
             fix=f"write the same names in both tables; or leave this one out: {unused}",
-            where=table.where,
+            where=mapped.where,
         )
     for name, numbers in rows.items():
         for curve in [curve for curve in curves if called[curve] == pairs[name]]:
@@ -315,15 +375,16 @@ def _join_observations(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
 
     Tips stand beside the shape, a track is a further measurement of the same hole.
     """
-    shapes = {curve.name: curve for curve in curves if curve.holds == "shapes" and curve.is_named}
+    shapes = {curve.name: curve for curve in curves if curve.kind.has_shape and curve.is_named}
     kept = list[ImportedCurve]()
     for curve in curves:
         shape, depths = shapes.get(curve.name), curve.reading_depths
         if shape is not None and shape is not curve and len(depths):
             at_end = np.abs(shape.depth - depths) <= find_length_tolerance(float(depths[-1]))
-            if at_end[-1] or (curve.holds == "tips" and at_end.any()):
+            is_tip = not (curve.kind.has_shape or curve.kind.is_track)
+            if at_end[-1] or (is_tip and at_end.any()):
                 shape.hole = curve.hole = curve.name
-            if curve.holds == "tips":
+            if is_tip:
                 shape.tips += [curve.read_tip(n) for n in np.flatnonzero(at_end).tolist()]
                 curve = replace(curve, points=curve.points.part(np.flatnonzero(~at_end)))
         if len(curve.line):

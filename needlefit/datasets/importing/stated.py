@@ -9,7 +9,15 @@ from itertools import accumulate, pairwise
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.importing.meanings import VALUES, Answers, list_factors, read_quantity, translate_side
+from needlefit.datasets.importing.meanings import (
+    MEANINGS,
+    QUESTIONS,
+    VALUES,
+    Answers,
+    list_factors,
+    read_quantity,
+    translate_side,
+)
 from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError
 from needlefit.project.units import UNITS_MM
@@ -17,16 +25,17 @@ from needlefit.project.units import UNITS_MM
 
 @dataclass(frozen=True)
 class Stated:
-    """What a cell or a mapping states: its text, its unit where it has none of its own, and its place."""
+    """What a cell or a mapping states of a key: text, unit where the text has none, and place."""
 
+    key: str
     text: str
     unit: str = ""
     where: str = ""
     are_sums: bool = False  # depths that were added up of thicknesses
 
-    def to_number(self, key: str, is_above: bool = False) -> float:
+    def to_number(self, is_above: bool = False) -> float:
         """Return the number of at least 0, or above 0, in the unit of its key; DataError if it is none."""
-        unit = VALUES[key].unit if key in VALUES else "mm"
+        unit = (VALUES.get(self.key) or MEANINGS[self.key]).unit
         value, own_unit = read_quantity(self.text) or (-1.0, "")
         own_unit = own_unit or self.unit or unit
         factors = list_factors(unit)
@@ -37,43 +46,43 @@ class Stated:
             )
             if others := [other for other in factors if other != unit]:
                 expected += f", or with its unit: {', '.join(others)}"
-            raise self.error(key, expected)
+            raise self.error(expected)
         return value * factor
 
-    def to_vector(self, key: str) -> Floats:
+    def to_vector(self) -> Floats:
         """Return the vector (3,) in a text such as `0,0,1` or `+z`, places in mm; DataError if it is none."""
         axis = re.fullmatch("([+-]?)([xyz])", self.text.strip().lower())
         text = self.text if axis is None else ",".join(f"{axis[1]}{int(name == axis[2])}" for name in "xyz")
-        is_place = key == "entry_point"
+        is_place = self.key == "entry_point"
         factor = UNITS_MM.get(self.unit or "mm", np.nan) if is_place else 1.0
         try:
             vector = factor * np.array([float(part) for part in re.split("[,;]", text)])
         except ValueError:
             vector = np.empty(0)
         if len(vector) != 3 or not (abs(vector) < MAX_COORDINATE).all() or not (is_place or vector.any()):
-            raise self.error(key, "three numbers, such as 0,0,1")
+            raise self.error("three numbers, such as 0,0,1")
         return vector
 
     def add_up(self) -> "Stated":
         """Return depths of boundaries, mm, in place of the thicknesses of layers from the surface on."""
-        depths = accumulate(self._list_lengths("thickness"))
+        depths = accumulate(self._list_lengths())
         text = "; ".join(f"{depth:.10g}" for depth in depths)
-        return replace(self, text=text, unit="mm", are_sums=True)
+        return replace(self, key="boundaries", text=text, unit="mm", are_sums=True)
 
     def to_boundaries(self) -> tuple[float, ...]:
         """Return increasing depths, mm, in a text such as `15,30`; with decimal commas `15,5;30`."""
-        depths = self._list_lengths("boundaries")
+        depths = self._list_lengths()
         if any(b <= a for a, b in pairwise([0.0, *depths])):
-            raise self.error("boundaries", "depths above 0 that increase, such as 15; 30")
+            raise self.error("depths above 0 that increase, such as 15; 30")
         return tuple(depths)
 
-    def _list_lengths(self, key: str) -> list[float]:
+    def _list_lengths(self) -> list[float]:
         parts = self.text.split(";" if ";" in self.text else ",")
         # of `2, 4 cm` the unit is of all; beside numbers with another one it is of its own
         last = re.search(r"[^\W\d].*$", parts[-1])
         if last and not any(re.search(r"[^\W\d]", part) for part in parts[:-1]):
             parts = [*(f"{part} {last[0]}" for part in parts[:-1]), parts[-1]]
-        return [replace(self, text=part.strip()).to_number(key) for part in parts]
+        return [replace(self, text=part.strip()).to_number() for part in parts]
 
     def to_angle(self) -> float:
         """Return the direction that a bevel faces, degrees: clockwise from up, seen along the needle.
@@ -86,16 +95,19 @@ class Stated:
             return 90.0 - 90.0 * value
         turn = round(np.degrees(value) / 45.0) if 0.5 < abs(value) < 6.3 else 0  # in eighths, were it rad
         if unit == "deg" and not own_unit and turn and abs(np.degrees(value) - 45.0 * turn) < 0.5:
-            raise self.error("bevel_side", f"degrees; in radians it would be {np.degrees(value):.4g}")
+            raise self.error(f"degrees; in radians it would be {np.degrees(value):.4g}")
         if unit == "deg" and abs(value) <= 360.0:
             return value
-        raise self.error("bevel_side", "1 or -1, or degrees: 90 deg")
+        raise self.error("1 or -1, or degrees: 90 deg")
 
-    def error(self, key: str, expected: str, fix: str = "") -> DataError:
+    def error(self, expected: str, fix: str = "") -> DataError:
         """Return the error of a cell that is not understood."""
-        fix = fix or "correct it" + (f", or state {name_set(key)}" if key in VALUES else "")
+        fix = fix or "correct it" + (f", or state {name_set(self.key)}" if self.key in VALUES else "")
         return DataError(
-            f"{key} is {self.text[:60]!r} {self.unit}".strip(), expected=expected, fix=fix, where=self.where
+            f"{self.key} is {self.text[:60]!r} {self.unit}".strip(),
+            expected=expected,
+            fix=fix,
+            where=self.where,
         )
 
 
@@ -120,6 +132,20 @@ class Question:
         names = dict(enumerate(self.choices, 1))
         chosen = names.get(int(text), "") if text.isdecimal() and text not in self.choices else text
         return [*self.choices.get(chosen, {}).items()]
+
+
+def make_question(
+    question: str, where: str, choices: Answers | None = None, **parts: str | float
+) -> Question:
+    """Return a question of `QUESTIONS`, whose `parts` are filled in; `choices`: in place of its answers."""
+    text, key, answers = QUESTIONS[question]
+    if "key" in parts:
+        parts = {"text": MEANINGS[str(parts["key"])].text, **parts}
+    filled = {
+        answer.format(**parts): {key.format(**parts): value.format(**parts) for key, value in keys.items()}
+        for answer, keys in answers.items()
+    }
+    return Question(key.format(**parts), text.format(**parts), choices or filled, where)
 
 
 class UnansweredError(DataError):
@@ -182,9 +208,9 @@ class Settler:
             self.values[key] = usual
             if not is_sure:
                 self.assumed[key] = reason
-        stated = Stated(self.values[key], "", f"key values.{key}")
+        stated = Stated(key, self.values[key], "", f"key values.{key}")
         if meaning.choices and stated.text not in meaning.choices:
-            raise stated.error(key, f"one of {', '.join(meaning.choices)}")
+            raise stated.error(f"one of {', '.join(meaning.choices)}")
         return stated
 
     def find_shared(self, key: str) -> Stated | None:

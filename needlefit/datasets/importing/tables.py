@@ -63,7 +63,7 @@ class Table:
     unit: str = ""  # of lengths without one of their own, which the file states
     first_headers: tuple[tuple[str, ...], ...] = ()  # texts of the rows of headers
     remarked: tuple[str, ...] = ()  # last headers: of values that stand above the rows, in no column
-    unread: Sequence[str] = ()  # remarks, and lines above the headers, that state nothing of the needles
+    unread: Sequence[str] = ()  # what states nothing of the needles: lines, remarks on how the file was read
 
     @property
     def name(self) -> str:
@@ -265,8 +265,8 @@ def _to_cell(cell: Any) -> str | float:  # noqa: ANN401 - whatever a sheet holds
 
 
 @read_once
-def read_structured(path: Path) -> tuple[Table, list[str]]:
-    """Return the curves of a file of a format with names and points as one table, and what is left out.
+def read_structured(path: Path) -> Table:
+    """Return the curves of a file of a format with names and points as one table.
 
     Its headers are `needle`, the axes with their unit, then the fields beside the curves.
     """
@@ -306,8 +306,7 @@ def read_structured(path: Path) -> tuple[Table, list[str]]:
         places += map(points.where, range(count))
     headers = ("needle", *(f"{axis} [{unit}]" if unit else axis for axis in "xyz"), *fields)
     system: PatientSystem | None = "LPS" if form.in_scan else None
-    table = Table(path, rows, headers=headers, places=places, system=system, unit=unit)
-    return table, [*remarks]
+    return Table(path, rows, headers=headers, places=places, system=system, unit=unit, unread=[*remarks])
 
 
 def _read_unit(points: Points) -> str:

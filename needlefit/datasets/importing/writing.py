@@ -8,9 +8,9 @@ import pandas as pd
 
 from needlefit.datasets.columns import HOLE_COLUMN, NEEDLE_COLUMN, POINT_SD_COLUMN, make_id
 from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
+from needlefit.datasets.importing.kinds import ImportedCurve
 from needlefit.datasets.importing.place import ImportPlan
-from needlefit.datasets.importing.read import make_unique
+from needlefit.datasets.importing.read import ImportContent, make_unique
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.read import inspect
@@ -60,8 +60,8 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
     }
     if plan.needles:
         draft["needles"] = {name: needle.model_dump() for name, needle in plan.needles.items()}
-    rows = [curve.row for curve in content.curves if curve.holds != "tracks"]
-    tracks = [curve for curve in content.curves if curve.holds == "tracks"]
+    rows = [curve.row for curve in content.curves if not curve.kind.is_track]
+    tracks = [curve for curve in content.curves if curve.kind.is_track]
     surfaces = dict[str, Surface]()
     for surface in plan.surfaces:
         surfaces[make_unique(f"layers/{make_id(surface.name, 'surface')}", surfaces)] = surface
@@ -71,7 +71,7 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
         medium: {"surfaces": parts} if parts else {"boundaries_mm": [*depths]}
         for medium, depths in plan.boundaries_mm.items()
     }
-    curves = {curve.name: curve.points.to_columns() for curve in content.curves if curve.holds == "shapes"}
+    curves = {curve.name: curve.points.to_columns() for curve in content.curves if curve.kind.has_shape}
     if rows:
         beside = {"turns": TURNS_FILE} if any(row.turns for row in rows) else {}
         if any(row.curvature is not None for row in rows):
@@ -104,7 +104,7 @@ def _trace_fault(fault: Fault, curves: Sequence[ImportedCurve], folder: Path) ->
     name, _, line = Path(fault.where).as_posix().removeprefix(f"{folder.as_posix()}/").rpartition(":")
     rows = list[tuple[str, str, str]]()  # place, subject, needle
     for curve in curves:
-        is_track, start, points = curve.holds == "tracks", f"curve {curve.name}", curve.points
+        is_track, start, points = curve.kind.is_track, f"curve {curve.name}", curve.points
         if name == (TRACKS_FILE if is_track else f"centerlines/{curve.name}.csv"):
             rows += [(points.where(n), f"{start} ", curve.name) for n in range(len(curve.line))]
         elif name == "insertions.csv" and not is_track:

@@ -4,15 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
-from needlefit.datasets.importing.kinds import RowKind
+from needlefit.datasets.importing.kinds import ImportedCurve, RowKind
 from needlefit.datasets.importing.kinds.facts import read_stated
 from needlefit.datasets.importing.kinds.tips import TipPlacer
 from needlefit.datasets.importing.mapped_table import MappedTable
+from needlefit.datasets.importing.meanings import CURVATURE_AXES
 from needlefit.errors import DataError
-
-AXES = ("curvature_y", "curvature_z")
 
 
 class CurvaturePlacer(TipPlacer):
@@ -39,24 +37,26 @@ class CurvaturePlacer(TipPlacer):
 def propose_curvatures(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     """Return no columns but those of all, where headers or units are of curvatures; ask which is which."""
     taken = draft.taken
-    if taken.keys() & {*AXES} and "point_sd" in taken:
+    if taken.keys() & {*CURVATURE_AXES} and "point_sd" in taken:
         taken.setdefault("curvature_sd", taken.pop("point_sd"))
     if not is_stated and draft.points:
         return {}
     inverse = [column for column in draft.list_free() if column.unit.startswith("1/")]
-    if not (inverse or taken.keys() & {*AXES} or is_stated):
+    if not (inverse or taken.keys() & {*CURVATURE_AXES} or is_stated):
         return {}
-    for key in ("sensor_from_base" if "sensor_from_base" in taken else "sensor", *AXES):
+    for key in ("sensor_from_base" if "sensor_from_base" in taken else "sensor", *CURVATURE_AXES):
         if key not in taken and "value" not in draft.draft.columns.get(key, {}):
-            likely = inverse if key in AXES else [one for one in draft.list_unknown() if one not in inverse]
-            draft.ask_column(key, likely, {"0, in one plane": {f"{key}.value": "0"}} if key in AXES else {})
+            if key in CURVATURE_AXES:
+                draft.ask_column(key, inverse, {"0, in one plane": {f"{key}.value": "0"}})
+            else:
+                draft.ask_column(key, [column for column in draft.list_unknown() if column not in inverse])
     return {"": {}}
 
 
 def complete_curvatures(draft: TableDraft, records: Records) -> None:
     """Let curvatures without a unit have that of the other axis."""
-    units = [records[axis]["unit"] for axis in AXES if "unit" in records.get(axis, {})]
-    for axis in AXES if units else ():
+    units = [records[axis]["unit"] for axis in CURVATURE_AXES if "unit" in records.get(axis, {})]
+    for axis in CURVATURE_AXES if units else ():
         if axis in records and not records[axis].keys() & {"unit", "unit_column"}:
             records[axis]["unit"] = units[0]
             draft.draft.assumed.pop(f"{axis}.unit", None)
@@ -65,7 +65,7 @@ def complete_curvatures(draft: TableDraft, records: Records) -> None:
 def read_curvatures(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:
     """Add sensors: place, mm, curvatures and SD, 1/mm (NaN: no cell states it); and facts beside them."""
     columns = mapped.record.columns
-    meanings = ("sensor" if "sensor" in columns else "sensor_from_base", *AXES)
+    meanings = ("sensor" if "sensor" in columns else "sensor_from_base", *CURVATURE_AXES)
     mapped.require(*meanings)
     for n in rows:
         sd = mapped.read_number("curvature_sd", n) if "curvature_sd" in columns else np.nan

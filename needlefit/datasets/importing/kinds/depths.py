@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.draft_table import Columns, TableDraft
-from needlefit.datasets.importing.kinds import RowKind
+from needlefit.datasets.importing.kinds import ImportedCurve, RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.errors import DataError
 
@@ -24,17 +23,17 @@ def read_depths(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) 
     """Interpolate the depths of readings, mm, by their times; those at other times are left out."""
     mapped.require("time", "depth")
     times, depths = (mapped.read_numbers(meaning, rows) for meaning in ("time", "depth"))
-    order, own = np.argsort(times, kind="stable"), curve.line[:, 0]
-    inside = np.flatnonzero((own >= times.min()) & (own <= times.max()))
+    order, read_times = np.argsort(times, kind="stable"), curve.line[:, 0]
+    inside = np.flatnonzero((read_times >= times.min()) & (read_times <= times.max()))
     if not (curve.is_timed and len(inside)):
         raise DataError(
             f"the readings of {curve.name} have no times between {times.min():g} and {times.max():g}",
             expected="a column of times in both tables, by one clock and in one unit",
             fix="correct the times, or join the tables",
-            where=mapped.table.where,
+            where=mapped.where,
         )
     curve.points, curve.is_timed = curve.points.part(inside), False
-    values = np.column_stack([np.interp(own[inside], times[order], depths[order]), curve.line[:, 1:]])
+    values = np.column_stack([np.interp(read_times[inside], times[order], depths[order]), curve.line[:, 1:]])
     curve.points = replace(curve.points, values=values)
     curve.depth_column = str(mapped.record.columns["depth"].columns[0])
 

@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 
-from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.draft_table import OF_LAYERS, Columns, TableDraft
-from needlefit.datasets.importing.kinds import RowKind
+from needlefit.datasets.importing.kinds import ImportedCurve, RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.meanings import ATTRIBUTES
 
@@ -31,4 +30,4 @@ def read_stated(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) 
     curve.state(facts)
 
 
-FACTS = RowKind("facts", propose_facts, 1, read=read_stated)
+FACTS = RowKind("facts", propose_facts, 1, is_of_each=True, read=read_stated)

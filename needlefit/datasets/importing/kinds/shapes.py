@@ -9,18 +9,25 @@ from itertools import permutations
 import numpy as np
 
 from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG
-from needlefit.datasets.importing.curve_answers import (
+from needlefit.datasets.importing.draft_table import (
+    MAX_FLAGS,
+    Columns,
+    Records,
+    TableDraft,
+    name_columns,
+    name_points,
+)
+from needlefit.datasets.importing.kinds import (
     MIN_SAME_SIDE,
     Answers,
     BendsOfSides,
+    ImportedCurve,
     Placer,
+    RowKind,
     format_direction,
     list_names,
 )
-from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.draft_table import MAX_FLAGS, Columns, Records, TableDraft, spell_points
-from needlefit.datasets.importing.kinds import RowKind
-from needlefit.datasets.importing.kinds.tips import add_tips
+from needlefit.datasets.importing.kinds.tips import TIPS, add_tips
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.meanings import INDEX, find_meaning
 from needlefit.datasets.importing.stated import Stated, name_set
@@ -57,7 +64,7 @@ class ShapePlacer(Placer):
     def settle_places(self) -> None:
         """Settle at which end each needle enters, from which direction, and where; cut off its shaft."""
         require_order(self.curves)
-        beside = [curve for curve in self.others if curve.holds != "tracks"]
+        beside = [curve for curve in self.others if not curve.kind.is_track]
         without = list_names(beside)
         if without:
             self.note("without a shape", without)
@@ -109,19 +116,19 @@ class ShapePlacer(Placer):
         }
         first = poses[self.curves[0]]
         if others:
-            raise first.error("pose", "directions of all needles, or shaft or free of all")
+            raise first.error("directions of all needles, or shaft or free of all")
         if self.pose_kind == "free" and is_posed:
-            raise first.error("pose", f"{along} or shaft, of surfaces, turns, curvatures and tips")
+            raise first.error(f"{along} or shaft, of surfaces, turns, curvatures and tips")
         if self.pose_kind != "direction":
             return poses
         angles = {
-            curve: float(np.degrees(np.arccos(normalize(pose.to_vector("pose")) @ to_unit(curve.chord))))
+            curve: float(np.degrees(np.arccos(normalize(pose.to_vector()) @ to_unit(curve.chord))))
             for curve, pose in poses.items()
         }
         off = [curve for curve, angle in angles.items() if angle > MAX_HEADING_DEG]
         if off:
             angle, pose, chord = angles[off[0]], poses[off[0]], to_unit(off[0].chord)
-            direction, fix = normalize(pose.to_vector("pose")), f"look at {list_places(off)}"
+            direction, fix = normalize(pose.to_vector()), f"look at {list_places(off)}"
             order = max(permutations(range(3)), key=lambda axes: direction @ chord[[*axes]])
             if direction @ chord[[*order]] >= np.cos(np.radians(MAX_HEADING_DEG)):
                 fix += f": columns seem to be {', '.join('xyz'[axis] for axis in order)}"
@@ -132,7 +139,7 @@ class ShapePlacer(Placer):
                 fix = advise_order(off)
             fix = fix if is_few else "; or ".join(fixes)
             needed = f"at most {MAX_HEADING_DEG:g} degrees off the needles, {along}; {list_names(off)} runs "
-            raise pose.error("pose", f"{needed}{angle:.0f} degrees off it", fix)
+            raise pose.error(f"{needed}{angle:.0f} degrees off it", fix)
         return poses
 
     def settle_entry_points(self, without: str) -> None:
@@ -174,15 +181,15 @@ class ShapePlacer(Placer):
             hits = find_surface_hits(curve.points.curve.smoothed, surface)
             if not len(hits):
                 needed = "a surface without a hole, that needles cross on their way in"
-                raise answer.error("entry_point", f"{needed} ({curve.name} does not)")
+                raise answer.error(f"{needed} ({curve.name} does not)")
             return min(hits)
         if answer.text == "depth":
             if "depth" not in curve.stated:
-                raise answer.error("entry_point", f"X,Y,Z, or a depth of {curve.name}, too")
+                raise answer.error(f"X,Y,Z, or a depth of {curve.name}, too")
             return curve.length - curve.depth
         if answer.text == "first":
             return 0.0
-        curve.entry, along = answer.to_vector("entry_point"), np.arange(0.0, curve.length, STEP_MM)
+        curve.entry, along = answer.to_vector(), np.arange(0.0, curve.length, STEP_MM)
         places = curve.points.curve.interpolate(along)
         gaps = {unit: np.linalg.norm(places - mm * curve.entry, axis=1) for unit, mm in UNITS_MM.items()}
         if gaps["mm"].min() > curve.length:
@@ -190,7 +197,7 @@ class ShapePlacer(Placer):
             is_near = gaps[unit].min() < curve.depth_tolerance
             fix = name_set("entry_point.unit", unit) if is_near else "check its unit and its frame"
             needed = f"a place less than the length of {curve.name}, {curve.length:.0f} mm, from it"
-            raise answer.error("entry_point", needed, fix)
+            raise answer.error(needed, fix)
         return float(along[np.argmin(gaps["mm"])])
 
     def require_depths(self) -> None:
@@ -217,12 +224,12 @@ class ShapePlacer(Placer):
                         f"its coordinates look like {units[0]}: correct them, or {name_set('unit', units[0])}"
                     )
                 expected = f"within {limit:.1f} mm the length of {curve.name}, which is {length:.1f} mm"
-                raise curve.stated["depth"].error("depth", expected, fix)
+                raise curve.stated["depth"].error(expected, fix)
 
     def fill_rows(self) -> None:
         """Fill in entry poses and bevels."""
         curves, point_sd = self.curves, self.point_sd_mm
-        self.angles = self.settle_sides() or {}
+        self.angles = self.settle_sides()
         self.note_deflections()
         self.require_seen()
         is_own = any("entry_point" in curve.stated for curve in curves)
@@ -255,12 +262,10 @@ class ShapePlacer(Placer):
             is_shaft, pose = bool(axes) and answer.text == "shaft", self.poses[curve]
             curve.fill(
                 entry=curve.start,
-                direction=axes[curve].direction if axes else normalize(pose.to_vector("pose")),
+                direction=axes[curve].direction if axes else normalize(pose.to_vector()),
                 pose_source="first_point" if curve.entry is None else source,
                 pose_shift_sd=shifts[curve],
-                pose_angle_sd=axes[curve].angle_sd
-                if is_shaft
-                else float(np.radians(answer.to_number("pose_angle_sd"))),
+                pose_angle_sd=axes[curve].angle_sd if is_shaft else float(np.radians(answer.to_number())),
                 turns=tuple((depth, np.radians(cell.to_angle()) - curve.turn) for depth, cell in curve.turns),
                 curvature=curve.read_curvature(),
             )
@@ -297,7 +302,6 @@ class ShapePlacer(Placer):
                 hidden[0]
                 .stated["bevel_side"]
                 .error(
-                    "bevel_side",
                     f"{plane:g} or {plane + 180.0:g} deg, as of the others: only x and y were measured, and "
                     f"{list_names(hidden)} bends along z",
                     f"state z, or leave out the rows from {places} on",
@@ -333,10 +337,10 @@ class ShapePlacer(Placer):
         answer = self.settle("bevel", guess, reason, fix=fix, where=where)
         if answer.text == "bend":
             if differ:
-                raise answer.error("bevel", "X,Y,Z: bevels differ, or turn")
+                raise answer.error("X,Y,Z: bevels differ, or turn")
             return
         self.settle_sides(is_needed=True)
-        for curve, bevel in zip(curves, sides.turned.apply(answer.to_vector("bevel")), strict=True):
+        for curve, bevel in zip(curves, sides.turned.apply(answer.to_vector()), strict=True):
             curve.fill(bevel=bevel)
 
     def compare_sides(self) -> None:
@@ -409,7 +413,7 @@ def fit_shaft(curve: ImportedCurve, point_sd: float, pose: Stated) -> ShaftAxis:
     """Return the axis of a curve's shaft, which the needle's base holds."""
     along = measure_curve(curve.shaft, point_sd).s
     if len(along) < MIN_SHAFT_POINTS or along[-1] < MIN_SHAFT_MM:
-        raise pose.error("pose", f"{MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before each entry")
+        raise pose.error(f"{MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before each entry")
     rules = ReconstructionEntryRecord()
     s, noise, turn_sd = (
         along - along[-1],
@@ -442,7 +446,7 @@ def propose_shapes(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
         return {"": {axis: [column for axes in places for column in axes.get(axis, ())] for axis in first}}
     is_version = any(find_meaning("version", name.split(" ")[0]) for name in draft.groups)
     if others and ("needle" in draft.taken or is_version):
-        answers = spell_points(points.values())
+        answers = name_points(points.values())
         draft.ask("points", answers, names=join_names([*answers], MAX_FLAGS))
     if "x" not in first.keys() | draft.taken.keys() and "depth" in draft.taken:
         draft.taken["x"] = draft.taken.pop("depth")  # points at depths
@@ -453,15 +457,12 @@ def _ask_columns(draft: TableDraft) -> None:
     """Ask which are the coordinates of a table without headers, or of several needles beside one x."""
     free, along = draft.list_unknown(), [column for column in draft.all if column.axis == "x"]
     if not any(draft.table.headers) and len(free) in (2, 3):
-        axes = {f"{axis}.column": str(column.name) for axis, column in zip("xyz", free, strict=False)}
+        axes = name_columns({axis: [column] for axis, column in zip("xyz", free, strict=False)})
         shown = ", ".join("xyz"[: len(free)])
         draft.ask("headers", {shown: axes}, axes=shown)
     elif len(along) == 1 and free:
-        names = [str(column.name) for column in free]
-        keys = {
-            name: {"x.column": str(along[0].name), "y.column": name} for name in (*names, "|".join(names))
-        }
-        draft.draft.ask_column("y", draft.where, keys)
+        keys = [name_columns({"x": along, "y": across}) for across in (*([column] for column in free), free)]
+        draft.ask("column", {stated["y.column"]: stated for stated in keys}, key="y")
 
 
 def _is_array(draft: TableDraft) -> bool:
@@ -494,15 +495,17 @@ def read_shape(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -
             f"{curve.name} has one point: it is a tip, and no shape",
             expected="the points of each needle from the entry to the tip",
             fix=f"complete its points; or, of a table of tips: {mapped.name_edit('holds', 'tips')}",
-            where=mapped.table.places[rows[0]],
+            where=mapped.places[rows[0]],
         )
-    curve.holds = "tips"
+    curve.kind = TIPS
 
 
 SHAPES = RowKind(
     "shapes",
     propose_shapes,
     3,
+    has_points=True,
+    has_shape=True,
     placer=ShapePlacer,
     complete=complete_shapes,
     read=read_shape,

@@ -6,10 +6,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from needlefit.datasets.importing.curve_answers import CurveAnswers, Placer, format_direction
-from needlefit.datasets.importing.curves import ImportedCurve, TipReading
-from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
-from needlefit.datasets.importing.kinds import RowKind
+from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft, name_columns
+from needlefit.datasets.importing.kinds import (
+    CurveAnswers,
+    ImportedCurve,
+    Placer,
+    RowKind,
+    TipReading,
+    format_direction,
+)
 from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS
@@ -85,7 +90,7 @@ def split_tips(asked: CurveAnswers) -> None:
                 hole=curve.name if curve.is_named else "",
             )
             if len(rows) == 1 and tip.sd is not None:
-                insertion.stated["point_sd"] = Stated(f"{tip.sd:.6g}", "mm", tip.where)
+                insertion.stated["point_sd"] = Stated("point_sd", f"{tip.sd:.6g}", "mm", tip.where)
             insertions.append(insertion)
     if are_joined:
         asked.note("tips", f"{sum(counts)} readings; those of a needle at one depth are joined")
@@ -157,11 +162,11 @@ def place_tips(asked: CurveAnswers) -> None:
     poses = asked.each("pose", usual="", reason=reason)
     guess, reason = "", "the direction that is up (0 degrees, 12 o'clock) of tips in space"
     if not any(curve.line[:, 2].any() for curve in asked.curves):
-        up = np.cross([0.0, 0.0, 1.0], poses[asked.curves[0]].to_vector("pose"))
+        up = np.cross([0.0, 0.0, 1.0], poses[asked.curves[0]].to_vector())
         guess, reason = format_direction(up / (np.linalg.norm(up) or 1.0)), "across the needle, in the plane"
-    up = asked.settle("bevel", guess, reason).to_vector("bevel")
+    up = asked.settle("bevel", guess, reason).to_vector()
     for curve, entry in asked.each("entry_point", usual="0,0,0", reason="the origin").items():
-        curve.frame = make_entry_frame(entry.to_vector("entry_point"), poses[curve].to_vector("pose"), up)
+        curve.frame = make_entry_frame(entry.to_vector(), poses[curve].to_vector(), up)
         curve.points = replace(curve.points, values=curve.frame.to_local(curve.line))
         curve.is_deflection = True
 
@@ -171,8 +176,8 @@ def propose_tips(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     taken, points = draft.taken, draft.points
     if not points:
         if "depth" in taken and "needle" not in taken and len(unknown := draft.list_unknown()) > 1:
-            joined = "|".join(str(column.name) for column in unknown)
-            draft.ask_column("deflection", unknown, {joined: {"deflection.column": joined}})
+            joined = name_columns({"deflection": unknown})
+            draft.ask_column("deflection", unknown, {joined["deflection.column"]: joined})
         return {}
     if is_stated or draft.are_deflections:
         return points
@@ -194,6 +199,7 @@ TIPS = RowKind(
     "tips",
     propose_tips,
     4,
+    has_points=True,
     placer=TipPlacer,
     complete=complete_tips,
 )

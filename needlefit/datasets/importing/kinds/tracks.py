@@ -7,18 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
-from needlefit.datasets.importing.curve_answers import (
+from needlefit.datasets.importing.draft_table import MAX_FLAGS, Columns, Records, TableDraft, name_points
+from needlefit.datasets.importing.kinds import (
     Answers,
     BendsOfSides,
     CurveAnswers,
+    ImportedCurve,
     Placer,
+    RowKind,
     format_direction,
     list_names,
     snap_to_axis,
 )
-from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.draft_table import MAX_FLAGS, Columns, Records, TableDraft, spell_points
-from needlefit.datasets.importing.kinds import RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.meanings import find_meaning, read_header
 from needlefit.datasets.importing.stated import Stated, name_set
@@ -90,12 +90,12 @@ class TrackPlacer(Placer):
             self.note("bevel of tracks", reason)
         else:
             guess = self.settle("bevel", guess, reason, fix).text
-        bevel = bends.mean if guess == "bend" else normalize(self.settle("bevel").to_vector("bevel"))
-        along = normalize(self.settle("pose").to_vector("pose")) if self.is_posed else bends.direction
+        bevel = bends.mean if guess == "bend" else normalize(self.settle("bevel").to_vector())
+        along = normalize(self.settle("pose").to_vector()) if self.is_posed else bends.direction
         sideways = bevel - (bevel @ along) * along
         if np.linalg.norm(sideways) < np.sin(np.radians(MIN_BEVEL_DEG)):
             needed = f"at least {MIN_BEVEL_DEG:g} degrees off the insertion, {format_direction(along)}"
-            raise self.settle("bevel").error("bevel", needed)
+            raise self.settle("bevel").error(needed)
         return normalize(sideways)
 
     def fill_rows(self) -> None:
@@ -112,7 +112,7 @@ class TrackPlacer(Placer):
         usual = f"{min(float(first + PLACING_PART * (last - first)) for first, last in ends):.3g}"
         reason = "a third of the shallowest run; deeper ones are scored"
         depth = self.settle("registration_depth", usual, reason)
-        number = depth.to_number("registration_depth", is_above=True)
+        number = depth.to_number(is_above=True)
         slope_sd = max(self.numbers("pose_angle_sd", is_above=True).values())
         self.slope_sds_deg = slope_sd, slope_sd if self.is_posed else None
         study: dict[str, float | str] = {"registration_depth_mm": number}
@@ -169,8 +169,10 @@ def settle_rolls(asked: CurveAnswers) -> None:
     curves = asked.curves
     for curve in curves:
         if len(curve.rolls):
-            curve.stated["bevel_side"] = Stated(f"{curve.rolls[0]:.6g} deg", "", curve.points.where())
-    contact = asked.settle_sides(is_needed=True) or {}
+            curve.stated["bevel_side"] = Stated(
+                "bevel_side", f"{curve.rolls[0]:.6g} deg", "", curve.points.where()
+            )
+    contact = asked.settle_sides(is_needed=True)
     if measured := [curve for curve in curves if curve.sensors]:
         raise DataError(
             f"run {measured[0].name} has curvatures beside its readings",
@@ -219,7 +221,7 @@ def settle_guide(asked: CurveAnswers) -> None:
         if len(paired) == 1:
             paired[0].guide = guide.line
     if not 0 < len(guides) == sum(tip.guide is not None for tip in curves):
-        raise answer.error("guide", f"none, or one of {names}, tracked beside one tip at the same times")
+        raise answer.error(f"none, or one of {names}, tracked beside one tip at the same times")
 
 
 def settle_depth_zero(asked: CurveAnswers) -> None:
@@ -242,11 +244,11 @@ def settle_depth_zero(asked: CurveAnswers) -> None:
         if not len(curve.depths):
             continue
         if answer.text == "tissue" and curve.depths[0] < 0:
-            raise answer.error("depth_zero", f"first_reading: {curve.name} begins at {curve.depths[0]:g} mm")
+            raise answer.error(f"first_reading: {curve.name} begins at {curve.depths[0]:g} mm")
         zeros = {"tissue": 0.0, "first_reading": float(curve.depths[0])}
-        zero = zeros[answer.text] if answer.text in zeros else answer.to_number("depth_zero")
+        zero = zeros[answer.text] if answer.text in zeros else answer.to_number()
         if zero > curve.depths[-1]:
-            raise answer.error("depth_zero", f"at most the depth of its readings, {curve.depths[-1]:g} mm")
+            raise answer.error(f"at most the depth of its readings, {curve.depths[-1]:g} mm")
         keep_readings(asked, curve, curve.depths - zero, curve.depths >= zero, "before contact")
 
 
@@ -255,7 +257,7 @@ def measure_depths(asked: CurveAnswers) -> None:
     chord = np.sum([curve.chord for curve in asked.curves], axis=0)
     guess = format_direction(snap_to_axis(normalize(chord)))
     pose = asked.settle("pose", guess, "the direction in which the tips run")
-    axis, entries = normalize(pose.to_vector("pose")), Answers()
+    axis, entries = normalize(pose.to_vector()), Answers()
     moved = {curve: np.ptp(curve.line @ axis) for curve in asked.curves if not len(curve.depths)}
     if still := ",".join(curve.name for curve, run in moved.items() if run < GUIDE_STILL_MM):
         raise DataError(
@@ -269,7 +271,7 @@ def measure_depths(asked: CurveAnswers) -> None:
     for curve, sd in asked.numbers("point_sd", is_above=True).items():
         if len(curve.depths):
             continue  # its file states them
-        depths = (curve.line - (entries[curve].to_vector("entry_point") if entries else curve.line[0])) @ axis
+        depths = (curve.line - (entries[curve].to_vector() if entries else curve.line[0])) @ axis
         deepest, is_kept, why = np.maximum.accumulate(depths), depths >= 0, "before the entry"
         if np.any(np.diff(depths) <= 0) and np.all(deepest - depths <= MAX_BACKWARD_SDS * sd):
             is_kept &= np.diff(deepest, prepend=-np.inf) > 0
@@ -306,7 +308,7 @@ def propose_tracks(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     words = {find_meaning("column", word) for name in points for word in name.split()}
     is_log = (is_stated or "tool" in words or "time" in draft.changing) and not draft.are_deflections
     if 1 < len(points) <= MAX_FLAGS and is_log and "guide" not in draft.draft.values:
-        alone = spell_points(points.values())
+        alone = name_points(points.values())
         guides = ({"guide.column": "|".join(keys.values())} for keys in reversed(alone.values()))
         draft.ask_tools(alone, {tip: alone[tip] | guide for tip, guide in zip(alone, guides, strict=True)})
     if is_stated or not points:
@@ -348,6 +350,8 @@ TRACKS = RowKind(
     propose_tracks,
     6,
     varying=("depth", "point_sd", "bevel_side"),
+    has_points=True,
+    is_track=True,
     placer=TrackPlacer,
     complete=complete_tracks,
     read=read_readings,

@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 
-from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.draft_table import Columns, TableDraft
-from needlefit.datasets.importing.kinds import RowKind
+from needlefit.datasets.importing.kinds import ImportedCurve, RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
 
 
