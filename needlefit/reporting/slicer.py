@@ -80,8 +80,9 @@ def _needle_curves(insertion: str, rows: pd.DataFrame, summary: str) -> Iterator
         "low": (f"simultaneous 95 % band, low, {source}", SKY_BLUE, THIN_LINE_WIDTH_MM),
         "high": (f"simultaneous 95 % band, high, {source}", SKY_BLUE, THIN_LINE_WIDTH_MM),
     }
+    curves, places = rows["curve"].to_numpy(), rows[list(POINT_COLUMNS)].to_numpy(dtype=np.float64)
     for curve, (name, colour, thickness) in looks.items():
-        points = rows.loc[rows["curve"] == curve, list(POINT_COLUMNS)].to_numpy(dtype=np.float64)
+        points = places[curves == curve]
         if len(points):
             labels = _arc_labels(measure_curve(points).s if curve == "measured" else arc_length(points))
             markups = Markups(Path(insertion), f"{insertion} {name}{summary}", "Curve", labels, points)
