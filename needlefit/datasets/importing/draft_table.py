@@ -173,6 +173,8 @@ class TableDraft:
             return ["modulus"] if is_clear else ["medium", "modulus"]
         if is_bore(column.text, self.table.headers):
             return ["inner_diameter"]
+        if meaning == "pose" and column.unit == "deg":  # an angle about the needle, no direction of insertion
+            return ["bevel_side", ""]
         if meaning == "guide" and "depth" not in headers and self.increases(column):  # of the stage
             return ["depth"]
         return meaning.split("|")

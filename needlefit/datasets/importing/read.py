@@ -207,8 +207,9 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
     axes = ["arc", "tangent"] if is_angle else [along, *across]
     mapped.require(*axes[:2])
     axes = [axis for axis in axes if axis in columns]
-    names, is_wide = mapped.names, mapped.record.layout == "wide"
-    groups = group_values(((names[n], n * is_wide), n) for n in mapped.kept_rows)
+    names, are_needles = mapped.names, kind.are_needles and "needle" not in columns
+    are_needles |= mapped.record.layout == "wide"
+    groups = group_values(((names[n], n * are_needles), n) for n in mapped.kept_rows)
     for (name, _), numbers in groups.items():
         rows, points, missing = list[int](), list[list[float]](), 0
         for n in numbers:

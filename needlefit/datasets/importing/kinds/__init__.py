@@ -344,6 +344,7 @@ class RowKind:
     has_shape: bool = False  #: each needle has a centreline
     is_track: bool = False  #: needles were measured on their way, in the frame of a tracker
     is_of_each: bool = False  #: each needle needs a row
+    are_needles: bool = False  #: whether rows without a name are needles of their own
     placer: type[Placer] | None = None  #: places its needles; None: rows alone make no needle
     #: table, needle, its rows: adds to the needle what they state beside points
     read: Callable[[MappedTable, ImportedCurve, Sequence[int]], None] = lambda mapped, curve, rows: None

@@ -200,6 +200,7 @@ TIPS = RowKind(
     propose_tips,
     4,
     has_points=True,
+    are_needles=True,
     placer=TipPlacer,
     complete=complete_tips,
 )
