@@ -40,8 +40,7 @@ from needlefit.inference.sampling.importance import (
 )
 from needlefit.project.checkpoint import remove_checkpoint
 from needlefit.project.cluster import connect_cluster as connect_cluster
-from needlefit.project.input_files import is_dir
-from needlefit.project.json_values import to_json_values
+from needlefit.project.input_files import is_dir, to_json_values
 from needlefit.project.locate import find_file, find_run, find_studies
 from needlefit.project.processes import count_cores
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
@@ -61,9 +60,8 @@ from needlefit.studies.judge import compare_with_references as compare_with_refe
 from needlefit.studies.judge import judge_fits as judge_fits
 from needlefit.studies.kind import find_kind
 from needlefit.studies.load import load_study
-from needlefit.studies.run import Run
+from needlefit.studies.run import Run, restore_run
 from needlefit.studies.score import make_predictors, make_scorer
-from needlefit.studies.store import restore_run
 from needlefit.studies.study_files import check_study, load_study_file, load_target, reopen_fit
 
 Name = str | Path
@@ -413,7 +411,7 @@ def score_study(
             search: minimize(
                 job.problem(fold, search),
                 job.recipe_of(search),
-                random_stream(job.recipe.seed, fold.name, search, "starts"),
+                job.random(fold.name, search, "starts"),
                 Callbacks(jobs=jobs),
             )
             for search in job.searches
@@ -740,7 +738,7 @@ def _prepare(study: StatedStudy, seed: int | None, jobs: int | None) -> tuple[Jo
 
 def _integrate(job: Job, problem: Problem, key: tuple[str, ...], jobs: int) -> WeightedDraws:
     """Return weighted draws of a problem, with its evidence; `key` is that of the random stream."""
-    rng = random_stream(job.recipe.seed, *key)
+    rng = job.random(*key)
     fit = minimize(problem, job.recipe, rng, Callbacks(jobs=jobs))
     return sample_about_fit(problem, fit, rng, jobs)
 

@@ -109,7 +109,7 @@ def pytest_collection_finish():
 def _require_registered_columns():
     """Let every table that a test writes fail that has a column which stands in no registry."""
     from needlefit.reporting import table_files
-    from needlefit.reporting.columns import find_column
+    from needlefit.reporting.table import find_column
 
     to_tidy = table_files.to_tidy
 

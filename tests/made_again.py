@@ -5,7 +5,7 @@ from pathlib import Path
 
 from needlefit.project.folders import MANIFEST, write_manifest
 from needlefit.studies.report import rebuild
-from needlefit.studies.store import store_run
+from needlefit.studies.run import store_run
 
 
 def store(result, folder):

@@ -16,7 +16,7 @@ from needlefit.project.folders import replace_folder, require_output_files, writ
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.reporting.table_files import write_json
 from needlefit.studies import study_files as study_files  # bound before a test takes away what it imports
-from needlefit.studies.store import store_run
+from needlefit.studies.run import store_run
 
 SCANS = str(shipped_folder() / "data" / "sample_scan" / "scans.csv")
 FOREIGN = ("notes.md", "errors_mine.csv", "slicer/mine.mrk.json", "quality/mine.pdf", "sub/a/b.csv")

@@ -13,7 +13,7 @@ import needlefit
 from needlefit.errors import DataError
 from needlefit.project.folders import write_manifest
 from needlefit.studies.report import rebuild
-from needlefit.studies.store import RESULTS_FILE, restore_run, store_run
+from needlefit.studies.run import RESULTS_FILE, restore_run, store_run
 
 
 @pytest.fixture(scope="module")

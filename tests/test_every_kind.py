@@ -14,8 +14,8 @@ from made_again import assert_made_again, read_files
 from world import COMMANDS, find_words
 
 from needlefit.studies.kind import KINDS
+from needlefit.studies.run import read_run
 from needlefit.studies.run_differences import compare_runs
-from needlefit.studies.store import read_run
 
 EVERY = pytest.mark.parametrize("kind", list(COMMANDS))
 WRITTEN = {"needlefit.json", "report.html", "report.pdf", "results.json.gz", "run.json", "timing.json"}

@@ -14,7 +14,7 @@ import needlefit
 from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import DataError
 from needlefit.project.folders import write_manifest
-from needlefit.studies import store
+from needlefit.studies import run as runs
 from needlefit.studies.study_files import load_target, read_data
 from needlefit.viewer.opening import open_target
 
@@ -54,7 +54,7 @@ def change_noise(file):
 def test_a_run_holds_the_files_of_its_data_with_their_digest(world):
     for kind in ("fit", "cross_validation"):
         folder = world.find(kind)
-        kept = store.restore_run(folder)
+        kept = runs.restore_run(folder)
         copied = {
             path.relative_to(folder / "dataset").as_posix() for path in (folder / "dataset").rglob("*.*")
         }
@@ -133,13 +133,13 @@ def test_data_that_changed_since_are_named_and_the_copy_is_used(places, capsys):
 
 @pytest.mark.parametrize("change", ["large", "gone", "changed", "outside"])
 def test_data_that_are_too_large_or_not_as_they_were_are_not_kept(places, tmp_path, monkeypatch, change):
-    kept = store.restore_run(places.moved / "gel")
+    kept = runs.restore_run(places.moved / "gel")
     data = DatasetFiles(
         places.project / "data/needles/dataset.toml", places.project / "data/needles", kept.data.names
     )
     object.__setattr__(kept, "data", data)
     if change == "large":
-        monkeypatch.setattr(store, "MAX_DATA_BYTES", 100)
+        monkeypatch.setattr(runs, "MAX_DATA_BYTES", 100)
     elif change == "gone":
         (data.root / data.names[0]).unlink()
     elif change == "changed":
@@ -147,7 +147,7 @@ def test_data_that_are_too_large_or_not_as_they_were_are_not_kept(places, tmp_pa
     else:
         names = tuple(f"../needles/{name}" for name in data.names)
         object.__setattr__(kept, "data", DatasetFiles(data.file, data.root, names))
-    store.store_run(kept, tmp_path)
+    runs.store_run(kept, tmp_path)
     assert not (tmp_path / "dataset").exists()
 
 

@@ -23,7 +23,7 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.planning.goals import Goal, compute_clearances, cut_plane, find_hits, read_goal_points
 from needlefit.planning.recording import Recording, read_recording, replay
 from needlefit.planning.steering import PlanLimits, plan_steering
-from needlefit.schemas.planning import ObstacleRecord
+from needlefit.schemas.scene import ObstacleRecord
 from needlefit.viewer import opening
 from needlefit.viewer.opening import open_target
 

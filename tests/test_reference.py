@@ -10,7 +10,7 @@ from needlefit.project.toml import load
 from needlefit.schemas.study import SelectionRecord, StudyRecord
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.report import round_frame
-from needlefit.studies.store import read_run
+from needlefit.studies.run import read_run
 
 REFERENCE = Path(__file__).parent.parent / "reports/reference"
 TOLERANCE = 0.002

@@ -10,7 +10,7 @@ from world import copy_project
 from needlefit.cli import execution
 from needlefit.errors import ConfigError
 from needlefit.studies.report import rebuild
-from needlefit.studies.store import name_source, read_sources, require_same_sources
+from needlefit.studies.run import name_source, read_sources, require_same_sources
 
 
 class StopError(Exception):

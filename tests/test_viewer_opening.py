@@ -22,8 +22,7 @@ from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.cross_validation.run import run
-from needlefit.studies.run import TUNED_SPECIMENS
-from needlefit.studies.store import pack, restore_run
+from needlefit.studies.run import TUNED_SPECIMENS, pack, restore_run
 from needlefit.viewer.opening import open_target
 
 VALUES = {"mu1_pa": 3e5, "alpha1": 1.2, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm": 0.08}

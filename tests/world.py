@@ -18,7 +18,7 @@ import pytest
 import track_cases
 
 from needlefit.cli import main
-from needlefit.studies.store import restore_run
+from needlefit.studies.run import restore_run
 
 try:
     import fcntl

@@ -13,7 +13,6 @@ import typer
 
 from needlefit.cli import exit_codes, screen
 from needlefit.cli.exit_codes import Invocation, catch_interrupts
-from needlefit.cli.progress import show_progress
 from needlefit.project.locate import format_path
 from needlefit.project.processes import count_cores, leave_out_help_texts
 from needlefit.project.progress import never_stop, no_note
@@ -25,6 +24,80 @@ if TYPE_CHECKING:
     from needlefit.studies.first_page import Advice
     from needlefit.studies.job import Inputs, StatedStudy
     from needlefit.studies.run import Run
+
+import sys
+import threading
+import time
+from typing import TextIO
+
+from needlefit.project.progress import Progress, no_progress
+
+# ---- how far a long run is, and the time left: a bar on a terminal, otherwise a line a minute; on stderr
+
+
+LINE_INTERVAL_SECONDS = 60.0
+
+
+@contextmanager
+def show_progress(quiet: bool) -> Iterator[Progress]:
+    """Yield the function that a run calls with what it does, how many steps are done, and of how many."""
+    if quiet:
+        yield no_progress
+    elif sys.stderr.isatty():
+        with _bar() as report:
+            yield report
+    else:
+        yield report_lines(sys.stderr)
+
+
+def report_lines(stream: TextIO) -> Progress:
+    """Return a reporter that writes at most one line a minute, with the time left at the mean pace."""
+    lock, last, first = threading.Lock(), [time.monotonic()], list[tuple[float, int]]()
+
+    def report(label: str, done: int, total: int) -> None:
+        with lock:
+            now = time.monotonic()
+            if not first:  # what an earlier run has done says nothing of the pace
+                first.append((now, done))
+            if now - last[0] >= LINE_INTERVAL_SECONDS:
+                last[0] = now
+                (begin, before), left = first[0], ""
+                if done > before:
+                    minutes = (now - begin) / (done - before) * (total - done) / 60
+                    left = f", about {minutes:.0f} min left"
+                print(f"needlefit: {label}: {done} of {total}{left}", file=stream, flush=True)
+
+    return report
+
+
+@contextmanager
+def _bar() -> Iterator[Progress]:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    # without its thread: a process with threads is not forked (`project.tasks`)
+    with Progress(
+        TextColumn("{task.description}"),
+        *columns,
+        console=Console(stderr=True),
+        transient=True,
+        auto_refresh=False,
+    ) as bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda label, done, total: bar.update(
+            task, description=label, completed=done, total=total, refresh=True
+        )
+
+
+# ---- runs
 
 
 @dataclass(frozen=True)
@@ -44,7 +117,7 @@ class Execution:
 
         ConfigError also if it would replace the result of others.
         """
-        from needlefit.studies.store import require_same_sources
+        from needlefit.studies.run import require_same_sources
 
         self.prepare([name])
         require_same_sources(self.folder(name), sources, record)
@@ -77,7 +150,7 @@ class Execution:
         `sample`: whether the posterior of a fit is sampled by MCMC.
         """
         from needlefit.studies.job import Settings, run_study
-        from needlefit.studies.store import store_sources
+        from needlefit.studies.run import store_sources
 
         asked = self.invocation
         with show_progress(asked.quiet) as report:

@@ -206,7 +206,7 @@ def _read_goal(
 ) -> "Goal":
     """Return the goal in space."""
     from needlefit.planning.goals import Goal, name_obstacles, read_goal_points
-    from needlefit.schemas.planning import ObstacleRecord
+    from needlefit.schemas.scene import ObstacleRecord
 
     aim, stated = None, list[ObstacleRecord]()
     if markups is not None:

@@ -9,9 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.execution import begin, open_pool, print_remark, show_advice, show_next_steps
+from needlefit.cli.execution import (
+    begin,
+    open_pool,
+    print_remark,
+    show_advice,
+    show_next_steps,
+    show_progress,
+)
 from needlefit.cli.options import argument, option
-from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
 from needlefit.project.input_files import path_exists
@@ -104,7 +110,7 @@ def reconstruct(
         from needlefit.schemas.names import require_file_name
         from needlefit.schemas.reconstruction import ReconstructionRecord
         from needlefit.studies.kinds.reconstruction.report import write_reconstruction, write_refused
-        from needlefit.studies.store import name_source, require_same_sources
+        from needlefit.studies.run import name_source, require_same_sources
 
         moved = corrections or []
         files = ScanFiles(

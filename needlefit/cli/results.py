@@ -62,8 +62,8 @@ def diff(
     from needlefit.project.folders import require_output_files
     from needlefit.project.locate import find_run
     from needlefit.reporting.table_files import to_records
+    from needlefit.studies.run import restore_run
     from needlefit.studies.run_differences import IDENTITY, RUN_JSON, compare_runs
-    from needlefit.studies.store import restore_run
 
     folders = find_run(run_a), find_run(run_b)
     if csv is not None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from needlefit.cli.exit_codes import Invocation
 from needlefit.errors import without_controls
-from needlefit.project.json_values import to_json_values
+from needlefit.project.input_files import to_json_values
 from needlefit.project.result_warnings import ResultWarning, condense_open_points
 
 if TYPE_CHECKING:

@@ -111,7 +111,7 @@ def validate(
         from needlefit.project.toml import add_file_context, load
         from needlefit.schemas.study import FitRecord
         from needlefit.studies.job import StatedStudy
-        from needlefit.studies.store import name_source
+        from needlefit.studies.run import name_source
         from needlefit.studies.study_files import load_study_file
 
         combined = [study] if study == EVERY_STUDY else []
@@ -172,7 +172,7 @@ def predict(
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
         from needlefit.studies.kinds.prediction.run import POSTERIOR_FILE, describe_like_deepest, make_scene
-        from needlefit.studies.store import RESULTS_FILE, name_source, restore_run
+        from needlefit.studies.run import RESULTS_FILE, name_source, restore_run
         from needlefit.studies.study_files import load_target
 
         fit = load_target(target)

@@ -14,7 +14,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import HOLE_COLUMN, NEEDLE_COLUMN, SETUP_COLUMN, InsertionRow
 from needlefit.datasets.points import Points
 from needlefit.geometry.smoothing_spline import SplineSections
-from needlefit.project.json_values import digest_values
+from needlefit.project.input_files import digest_values
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.deciding import select_deciding
 

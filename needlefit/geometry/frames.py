@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats, pad_axis
 from needlefit.errors import DataError
-from needlefit.schemas.recording import PlacementRecord
+from needlefit.schemas.scene import PlacementRecord
 
 PARALLEL_SINE = 1e-6  # sine of the angle under which two directions count as parallel
 

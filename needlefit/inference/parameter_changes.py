@@ -14,7 +14,7 @@ from needlefit.inference.parameters import (
     without_prior,
 )
 from needlefit.mechanics.laws import LAWS
-from needlefit.project.json_values import to_json_values
+from needlefit.project.input_files import to_json_values
 from needlefit.project.toml import add_file_context, add_key_context, check, find_named, load
 from needlefit.schemas.medium import (
     MAX_CUT_ANGLE_DEG,

@@ -16,7 +16,7 @@ from needlefit.datasets.formats.markups import read_markups
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement
 from needlefit.schemas.names import name_fault
-from needlefit.schemas.planning import ObstacleRecord
+from needlefit.schemas.scene import ObstacleRecord
 
 PATH_POINTS = 41  #: points of a needle, entry to tip
 UNSOLVED_MISS_MM = 100.0  #: the miss that stands for a needle without a solution, mm

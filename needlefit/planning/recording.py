@@ -20,8 +20,7 @@ from needlefit.planning.steered_needle import Change, SteeredNeedle, make_steere
 from needlefit.project.input_files import parse_toml, read_text
 from needlefit.project.toml import check, dumps
 from needlefit.schemas.limits import MAX_NUMBER
-from needlefit.schemas.recording import PlacementRecord, RecordingRecord
-from needlefit.schemas.scene import SceneRecord
+from needlefit.schemas.scene import PlacementRecord, RecordingRecord, SceneRecord
 
 COLUMNS = ("step", "time_s", "input", "item", "value", "tip_lateral_mm")
 #: digits of the number of a guide or layer; Python refuses to convert thousands of digits

@@ -28,8 +28,7 @@ from needlefit.project.folders import (
     require_replaceable,
     take_lock,
 )
-from needlefit.project.input_files import parse_json, read_bytes
-from needlefit.project.json_values import digest_values
+from needlefit.project.input_files import digest_values, parse_json, read_bytes
 from needlefit.project.progress import Note, no_note
 
 if TYPE_CHECKING:

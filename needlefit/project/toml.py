@@ -16,8 +16,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from needlefit.errors import ConfigError
-from needlefit.project.input_files import parse_toml
-from needlefit.project.json_values import to_json_values
+from needlefit.project.input_files import parse_toml, to_json_values
 from needlefit.project.locate import FileKind, file_label, find_file, is_path, read_toml
 from needlefit.schemas.base import MISSING_KEY, FileRecord
 

@@ -32,7 +32,7 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
 from needlefit.project.help_pages import read_terms
-from needlefit.project.json_values import to_json_values
+from needlefit.project.input_files import to_json_values
 
 if TYPE_CHECKING:
     from needlefit.inference.forward_model import ParameterDraws

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.metrics import list_metrics
-from needlefit.project.json_values import to_json_values
+from needlefit.project.input_files import to_json_values
 
 
 def write_csv(frame: pd.DataFrame, path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from needlefit.schemas.base import FileRecord, Name, Record, missing_key
+from needlefit.schemas.base import FileRecord, Name, Record, RigidRows, missing_key
 from needlefit.schemas.limits import (
     MAX_CONSTRAINT_SPACING_MM,
     MAX_GUIDES,
@@ -397,3 +397,44 @@ def resolve_steps(scene: SceneRecord) -> tuple[ResolvedStep, ...]:
 
 def _given_values(step: StepRecord, *names: str) -> dict[str, Any]:
     return {name: getattr(step, name) for name in names if getattr(step, name) is not None}
+
+
+# ---- recordings
+
+
+class PlacementRecord(Record):
+    """Where a measured needle lies: rigid motions to the world of its dataset.
+
+    `entry_to_world` is that of the constraint frame C, `lps_to_world` that of the patient coordinates (LPS)
+    of its scan.
+    """
+
+    entry_to_world: RigidRows
+    lps_to_world: RigidRows
+
+
+class RecordingRecord(FileRecord):
+    """A scene, whole, and where its first constraint point lies.
+
+    `needlefit` is the version that recorded it, `target` what was opened (see `needlefit view`). Without a
+    `placement` the scene states where the needle lies: in the plane z = 0 of its own world.
+    """
+
+    SCHEMA: ClassVar[int] = 2
+
+    needlefit: str
+    target: str
+    first_cell_mm: float = Field(gt=0)
+    placement: PlacementRecord | None = None
+    scene: SceneRecord
+
+
+class ObstacleRecord(Record):
+    """A circle in the plane, or a sphere in space, that the needle must avoid."""
+
+    name: Name
+    """Name of the obstacle in tables."""
+    centre_mm: tuple[float, float] | tuple[float, float, float]
+    """Centre: x and y in the plane, in space z too."""
+    radius_mm: float = Field(gt=0)
+    """Radius."""

@@ -10,7 +10,7 @@ from needlefit.datasets.importing.meanings import MEANINGS
 from needlefit.grouping import group_values
 from needlefit.project.help_pages import Topic, read_sections, read_terms
 from needlefit.project.toml_reference import KeyDescription, describe_files
-from needlefit.reporting.columns import find_column, list_columns
+from needlefit.reporting.table import find_column, list_columns
 from needlefit.studies.kind import list_records
 
 

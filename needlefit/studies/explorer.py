@@ -41,8 +41,7 @@ from needlefit.reporting.needle_page import (
 )
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.schemas.run_metadata import FitMetadata, InsertionMetadata, PredictionMetadata
-from needlefit.studies.insertion_draws import draw_insertion
-from needlefit.studies.run import FIT_KINDS, NEW_SPECIMEN, PREDICTION_METHOD, FitFrames, Run
+from needlefit.studies.run import FIT_KINDS, NEW_SPECIMEN, PREDICTION_METHOD, FitFrames, Run, draw_insertion
 
 # Modules that simulate are imported where they are used: other reports do not load them.
 

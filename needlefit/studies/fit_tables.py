@@ -17,7 +17,6 @@ from needlefit.inference.identifiability.directions import (
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, HYPERPARAMETERS, is_logarithmic
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import IPE, Metric, headline_metrics, list_metrics
-from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.labels import SPECIMEN_NAMES, medium_name, method_name
 from needlefit.reporting.number_format import (
     choose_printed_unit,
@@ -28,7 +27,7 @@ from needlefit.reporting.number_format import (
     is_known,
     round_significant,
 )
-from needlefit.reporting.table import Table, TableLayout, part, pivot
+from needlefit.reporting.table import DIGITS, Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.run_metadata import FitMetadata, RigidityMetadata

@@ -30,7 +30,6 @@ from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample, sample_density
 from needlefit.project.checkpoint import Checkpoint
 from needlefit.project.progress import Step, no_step
-from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import run_parts
 from needlefit.project.toml import describe_key
 from needlefit.reporting.table_files import Row
@@ -60,7 +59,7 @@ def search_fit(
     if kept := read_fit(checkpoint, key):
         return kept
     step(0, 1)
-    rng = random_stream(job.recipe.seed, fold.name, search, "starts")
+    rng = job.random(fold.name, search, "starts")
     callbacks = Callbacks(settings.stop, step, settings.jobs)
     fit = minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
     if not fit.interrupted:
@@ -82,7 +81,7 @@ def sample_posterior(
     `step` is called with the number of steps made, and of all.
     """
     noisy = add_estimated_noise(problem.holding(fit.held), np.array(fit.theta))
-    rng = random_stream(job.recipe.seed, *key, "posterior")
+    rng = job.random(*key, "posterior")
     callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
     return sample(noisy, begin, job.recipe.sample, rng, callbacks)
 
@@ -112,7 +111,7 @@ def draw_fold_parameters(
     counts = (PREDICTION_DRAWS, FIGURE_DRAWS)
     # no job's name is in it: the same fit has the same draws, whichever command runs it
     key, problem = (fold.name, "draws"), job.problem(fold)
-    rng = random_stream(job.recipe.seed, *key)
+    rng = job.random(*key)
     if not problem.holding(fit.held).searched.names:
         priors = (draw_held(job.parameters, np.empty((count, 0)), rng) for count in counts)
         few, many = (Draws(thetas, "importance", mode=np.array(fit.theta)) for thetas in priors)
@@ -200,7 +199,7 @@ class Specimens:
                 for name, posterior in by_specimen.items()
                 for fault in posterior.faults
             ]
-        rng = random_stream(self.job.recipe.seed, self.fold.name, "specimens", count)
+        rng = self.job.random(self.fold.name, "specimens", count)
         if faults:
             nothing = np.empty((0, len(self.job.parameters.free)))
             empty = np.empty((0, len(self.model.names), len(self.model.names)))
@@ -212,7 +211,7 @@ class Specimens:
         self, log_density: LogDensityFunction, names: tuple[str, ...], begin: WeightedDraws
     ) -> Posterior | None:
         """Return the population by an ensemble of walkers that goes on from weighted draws."""
-        rng = random_stream(self.job.recipe.seed, self.fold.name, "specimens", "ensemble")
+        rng = self.job.random(self.fold.name, "specimens", "ensemble")
         assert self.callbacks is not None
         return sample_density(log_density, names, begin, self.job.recipe.sample, rng, self.callbacks)
 
@@ -304,7 +303,7 @@ class Specimens:
         begin, easier = searched.parameters.expected, searched.plain
         near = begin if easier is None else minimize_squares(easier, begin).theta
         minimum = minimize_squares(searched, near)
-        rng = random_stream(job.recipe.seed, *key)
+        rng = job.random(*key)
         if minimum.converged:
             noisy = add_estimated_noise(problem, job.parameters.extend(minimum.theta))
             modes = [minimize_squares(noisy.searched, minimum.theta)]
@@ -312,9 +311,9 @@ class Specimens:
             if draws.certified:
                 mode = job.parameters.extend(minimum.theta)
                 return replace(resample_draws(draws, PREDICTION_DRAWS, rng), mode=mode)
-        rng = random_stream(job.recipe.seed, job.name, *key, "starts")
+        rng = job.random(job.name, *key, "starts")
         fit = minimize(problem, job.recipe, rng)
-        rng, mode = random_stream(job.recipe.seed, job.name, *key, "weighed"), np.array(fit.theta)
+        rng, mode = job.random(job.name, *key, "weighed"), np.array(fit.theta)
         draws = sample_about_fit(problem, fit, rng)
         if draws.certified:
             return replace(resample_draws(draws, PREDICTION_DRAWS, rng), mode=mode)

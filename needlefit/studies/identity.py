@@ -21,7 +21,7 @@ from needlefit.inference.sampling.samplers import SAMPLERS
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.native import identify_other_library
 from needlefit.metrics import METRICS
-from needlefit.project.json_values import digest_values
+from needlefit.project.input_files import digest_values
 from needlefit.project.locate import join_names
 from needlefit.registry import plugin_versions
 from needlefit.schemas.deciding import select_deciding

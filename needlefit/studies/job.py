@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
@@ -148,12 +150,16 @@ class Job:
         by_id = {i.id: i for fold in self.folds for i in (*fold.tune, *fold.validate)}
         return tuple(by_id.values())
 
+    def random(self, *keys: str | int) -> np.random.Generator:
+        """Return the generator of one purpose, as of `random_stream`, by the seed of the recipe."""
+        return random_stream(self.recipe.seed, *keys)
+
     def floor(self, insertion: Insertion) -> NoiseFloor:
         """Return the noise floor of an insertion; it is estimated once for all studies of a command."""
-        seed, data, computed = self.recipe.seed, self.dataset, _floors.setdefault(insertion, {})
-        key = (seed, data.noise, data.pose, data.drop_proximal)
+        data, computed = self.dataset, _floors.setdefault(insertion, {})
+        key = (self.recipe.seed, data.noise, data.pose, data.drop_proximal)
         if key not in computed:
-            computed[key] = estimate_floor(data, insertion, random_stream(seed, "noise floor", insertion.id))
+            computed[key] = estimate_floor(data, insertion, self.random("noise floor", insertion.id))
         return computed[key]
 
     def problem(self, fold: Fold, search: str = "fitted") -> Problem:

@@ -37,9 +37,16 @@ from needlefit.studies.first_page import (
     tabulate_checks,
 )
 from needlefit.studies.kind import find_kind
-from needlefit.studies.run import FIT_KINDS, Run, mark_faults
+from needlefit.studies.run import (
+    FIT_KINDS,
+    Run,
+    mark_faults,
+    read_sources,
+    restore_run,
+    store_run,
+    store_sources,
+)
 from needlefit.studies.scored_groups import tabulate_errors
-from needlefit.studies.store import read_sources, restore_run, store_run, store_sources
 
 
 def run_to_json(run: Run) -> dict[str, Any]:

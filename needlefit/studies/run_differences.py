@@ -7,8 +7,7 @@ import pandas as pd
 from needlefit.errors import DataError
 from needlefit.studies.identity import PART_DIGITS, describe_change
 from needlefit.studies.report import list_run_files
-from needlefit.studies.run import Run
-from needlefit.studies.store import restore_run
+from needlefit.studies.run import Run, restore_run
 
 #: columns that name a row, in any table
 KEYS = {

@@ -21,7 +21,7 @@ from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, find_
 from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
-from needlefit.project.json_values import digest_values
+from needlefit.project.input_files import digest_values
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import locate_key
 from needlefit.schemas.analyses import SyntheticDataRecord

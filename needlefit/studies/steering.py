@@ -37,12 +37,10 @@ from needlefit.planning.steering import (
 )
 from needlefit.project.toml import read_given
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.planning import ObstacleRecord
 from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.run_metadata import FitMetadata
-from needlefit.schemas.scene import SceneRecord
-from needlefit.studies.insertion_draws import draw_insertion
-from needlefit.studies.run import FIT_KINDS, Run
+from needlefit.schemas.scene import ObstacleRecord, SceneRecord
+from needlefit.studies.run import FIT_KINDS, Run, draw_insertion
 
 GAIN_SD = 0.25  #: of the base, where no fit states one: 14 measured runs followed 28 % less
 TIP_MARGIN_MM = 5.0  #: a measured tip farther along x from where the needle stands is that of another needle

@@ -12,8 +12,7 @@ from needlefit.datasets.read import inspect, read
 from needlefit.datasets.sources import DATASET_FILE, find_dataset_file
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.doubts import Doubts
-from needlefit.project.input_files import is_file
-from needlefit.project.json_values import to_json_values
+from needlefit.project.input_files import is_file, to_json_values
 from needlefit.project.locate import find_file, find_study_or_fit, is_path, read_toml
 from needlefit.project.processes import one_thread
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
@@ -29,8 +28,7 @@ from needlefit.studies.identity import describe_change, describe_configuration, 
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.load import find_odd_needles, load_study
-from needlefit.studies.run import Run
-from needlefit.studies.store import RUN_FILE, name_source, read_sources, restore_run
+from needlefit.studies.run import RUN_FILE, Run, name_source, read_sources, restore_run
 
 PATH_KEYS = frozenset(["dataset", "medium", "recipe", "priors", "target", "fits", "studies"])
 """Keys of study files whose values may be paths, alone, in a list or a table."""
@@ -231,7 +229,7 @@ def begin_run(name: str, record: TargetRecord, job: Job, title: str) -> Run:
 
 # ---- the fit of a run: data, tissue model, recipe and posterior as they were, wherever its folder lies
 #
-# A run keeps a copy of its data (`store`), so that its folder can be moved alone. Where there is none, as of
+# A run keeps a copy of its data, so that its folder can be moved alone. Where there is none, as of
 # earlier versions and of large data, the dataset is looked for where it was, then by its name.
 
 

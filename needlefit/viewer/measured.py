@@ -157,9 +157,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     """Return an insertion with the fitted parameters of a run, by default the first held-out one."""
     from needlefit.inference.problem import find_new_bevel_sd
     from needlefit.studies.explorer import find_prediction
-    from needlefit.studies.insertion_draws import draw_insertion
-    from needlefit.studies.run import FIT_KINDS, NEW_SPECIMEN
-    from needlefit.studies.store import restore_run, unpack
+    from needlefit.studies.run import FIT_KINDS, NEW_SPECIMEN, draw_insertion, restore_run, unpack
     from needlefit.studies.study_files import read_data
 
     kind = unpack(view_target.path).get("kind")

@@ -17,8 +17,7 @@ from needlefit.planning.recording import RecordedStep, Recording, make_head
 from needlefit.planning.steered_needle import Change, SteeredNeedle, find_changes, make_steered_scene
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.schemas.recording import PlacementRecord, RecordingRecord
-from needlefit.schemas.scene import SceneRecord
+from needlefit.schemas.scene import PlacementRecord, RecordingRecord, SceneRecord
 
 if TYPE_CHECKING:
     from needlefit.inference.forward_model import ParameterDraws

@@ -107,7 +107,7 @@ def _mesh(path):
 
 def _results(folder):
     _late("project.folders.write_manifest")(folder)
-    return _late("studies.store.restore_run")(folder)
+    return _late("studies.run.restore_run")(folder)
 
 
 def _checkpoint(folder):
@@ -144,6 +144,6 @@ READERS = {
     "results": Reader(_results, seeds.results, 20, packed=True),
     "posterior": Reader(partial(_call, "inference.sampling.posterior.load"), seeds.posteriors, SLOWEST),
     "checkpoint": Reader(_checkpoint, seeds.checkpoints, 40),
-    "run": Reader(partial(_call, "studies.store.read_run"), seeds.run_files),
+    "run": Reader(partial(_call, "studies.run.read_run"), seeds.run_files),
 }
 """Every reader of what comes from outside, by its name."""

@@ -245,7 +245,7 @@ def recordings():
 def results():
     from reporting_results import stereo, study
 
-    from needlefit.studies.store import store_run
+    from needlefit.studies.run import store_run
 
     runs = (study(1), stereo())
     return [written(lambda folder, of=of: store_run(of, folder), ".", ("results.json.gz",)) for of in runs]

@@ -28,7 +28,7 @@ A template asks only which values there are (`{% if floors %}`), and computes no
 Markdown is limited to headings (`##`, `###`), paragraphs, bullets, links, emphasis and code. A paragraph that
 is emphasised as a whole is set in small type. `table`, `figure` and `block` refer by name to what the kind
 hands over; what it did not make is left out. Values are data: their ASCII punctuation signs are escaped. A
-number that is not whole needs a filter: all formats of `columns.FORMATS` (`mm`, `percent`, `number`,
+number that is not whole needs a filter: all formats of `table.FORMATS` (`mm`, `percent`, `number`,
 `medium`, ...), `quantity` (with the parameter's name), `ratio` (two digits),
 `significant(n)`, `words`; `bare` is the symbol of a parameter, `symbols` inserts all of a sentence.
 
@@ -49,7 +49,6 @@ from markdown_it.token import Token
 from markupsafe import Markup
 
 from needlefit.reporting import document
-from needlefit.reporting.columns import FORMATS
 from needlefit.reporting.document import Block, Words
 from needlefit.reporting.number_format import (
     format_bare_symbol,
@@ -59,7 +58,7 @@ from needlefit.reporting.number_format import (
     insert_symbols,
     join_words,
 )
-from needlefit.reporting.table import Table, TableLayout
+from needlefit.reporting.table import FORMATS, Table, TableLayout
 
 _PUNCTUATION = re.compile(r"([!-/:-@\[-`{-~])")
 _ESCAPED = re.compile(r"\\([!-/:-@\[-`{-~])")

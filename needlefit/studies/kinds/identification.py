@@ -31,7 +31,6 @@ from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample_about_modes
-from needlefit.project.random_streams import random_stream
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
@@ -169,7 +168,7 @@ def rank_candidates(
     are held stay at the centre of their prior.
     """
     problem, theta = problem.searched, problem.parameters.restrict(theta)
-    rng = random_stream(job.recipe.seed, job.name, "candidates")
+    rng = job.random(job.name, "candidates")
     draws = sample_about_modes(problem, [minimize_squares(problem, theta)], rng, settings.jobs, (EFFORT,))
     weights = np.exp(draws.log_weights)
     order = np.argsort(weights, kind="stable")

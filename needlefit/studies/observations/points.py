@@ -52,7 +52,6 @@ from needlefit.inference.predict import (
 )
 from needlefit.inference.problem import Problem
 from needlefit.project.progress import Step
-from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import run_parts
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row
@@ -143,7 +142,7 @@ class _Predictor:
         stations = [observation.nodes.s[0], surround_sensors(insertion), ends]
         sets = specimens.list_sets(draws)
         drawn_needles = self._simulate(insertion, np.concatenate(stations), *self._vary(insertion, sets))
-        rng = random_stream(job.recipe.seed, job.name, fold.name, "scored", insertion.id)
+        rng = job.random(job.name, fold.name, "scored", insertion.id)
         tuned = any(insertion.specimen == fitted.specimen for fitted in fold.tune)
         differing = specimens if specimens.differs(insertion) else None
         about = describe_specimen(differing, "same" if tuned else "training only")
@@ -204,14 +203,10 @@ class _Predictor:
     ) -> tuple[list[dict[str, float]], np.random.Generator]:
         """Return sets of values with a bevel of this insertion, and what its depths are drawn by."""
         specimens, job, fold = self.specimens, self.specimens.job, self.specimens.fold
-        rng = random_stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
+        rng = job.random(job.name, fold.name, "foretold", insertion.id)
         # the depths of one insertion have one specimen and one bevel
         repeat = self.repeats.get(insertion.id)
-        once = (
-            rng
-            if repeat is None
-            else random_stream(job.recipe.seed, job.name, fold.name, "foretold", *repeat)
-        )
+        once = rng if repeat is None else job.random(job.name, fold.name, "foretold", *repeat)
         deviations = once.standard_normal(len(sets))
         if specimens.differs(insertion) and specimens.separate:
             deviations = specimens.bevel_sd_in(insertion) * deviations
@@ -286,7 +281,7 @@ class _Predictor:
         """
         job, fold = self.specimens.job, self.specimens.fold
         # a stream of its own: no other number depends on it
-        rng = random_stream(job.recipe.seed, job.name, fold.name, "after one", insertion.id)
+        rng = job.random(job.name, fold.name, "after one", insertion.id)
         further = vary_bevels(sets, self.specimens.bevel_sd_in(insertion), rng)
         tip = len(observation.measured) - 1
         simulated = self._simulate(insertion, observation.nodes.s[0], further, rng)

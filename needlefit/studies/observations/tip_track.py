@@ -33,7 +33,6 @@ from needlefit.inference.track_predictions import (
 )
 from needlefit.metrics import TRACK_RMS
 from needlefit.project.progress import Step
-from needlefit.project.random_streams import random_stream
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.recipe import TrackErrorsRecord
@@ -158,7 +157,7 @@ def _predict_runs(specimens: Specimens, job: Job, fold: Fold) -> list[HeldOutPre
         thetas[run.specimen], modes[run.specimen] = draws.thetas, mode
     problem = job.problem(specimens.fold if job is specimens.job else specimens.fold.of_dataset(job.measured))
     placed = [count_registered(track, depth) for track in fold.validate]
-    rng = random_stream(job.recipe.seed, job.name, fold.name, "fitted")
+    rng = job.random(job.name, fold.name, "fitted")
     bevel_sd = specimens.bevel_sd_in(held)
     simulated = simulate_runs(problem, fold, thetas, specimens.jobs, (bevel_sd, rng))
     ahead = predict_runs(*simulated, placed, rng)

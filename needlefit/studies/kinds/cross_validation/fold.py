@@ -32,7 +32,6 @@ from needlefit.inference.problem import Problem, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.checkpoint import Checkpoint
 from needlefit.project.progress import Progress, no_progress
-from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.reporting.table_files import Row
@@ -380,7 +379,7 @@ def _minimise_errors(
     if drawn is not None and len(drawn.draws.thetas):
         draws = drawn.draws.thetas[:, [job.parameters.free.index(name) for name in problem.names]]
     services.progress.report(fold, "errors of the fit")
-    rng = random_stream(job.recipe.seed, fold.name, "error tolerance")
+    rng = job.random(fold.name, "error tolerance")
     callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
     return examine_errors(problem, fit, draws, job.parameters, rng, callbacks)
 

@@ -35,7 +35,6 @@ from needlefit.inference.predict import (
 from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
 from needlefit.project.progress import no_note
-from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.toml import find_named
 from needlefit.project.unit_warnings import extrapolation_warnings, scene_warnings
@@ -59,8 +58,7 @@ from needlefit.studies.identity import describe_change, identify
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kinds.prediction import PredictionRecord
 from needlefit.studies.report import find_report, recall
-from needlefit.studies.run import Run
-from needlefit.studies.store import posterior_file_names, restore_run
+from needlefit.studies.run import Run, posterior_file_names, restore_run
 from needlefit.studies.study_files import begin_run, is_study, prepare_target, prepare_with_held_out
 
 # ---- the needle for all draws of the parameters, its intervals and bands
@@ -122,7 +120,7 @@ def forecast(scene: Scene, specimens: Specimens, into: Insertion | None) -> Fore
     job, draws, mode = specimens.job, specimens.draws_in(into), specimens.mode_in(into)
     thetas = draws.thetas if len(draws.thetas) else specimens.draws.thetas
     assert mode is not None
-    rng = random_stream(job.recipe.seed, job.name, "forecast")
+    rng = job.random(job.name, "forecast")
     s = np.linspace(0.0, scene.depth, FORECAST_POINTS)
     sets = vary_bevels([job.parameters.values(theta) for theta in thetas], specimens.bevel_sd_in(into), rng)
     typical = [

@@ -24,12 +24,11 @@ from needlefit.project.folders import replace_folder
 from needlefit.project.help_pages import read_terms
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
-from needlefit.reporting.columns import find_column
 from needlefit.reporting.figures import Drawing, Panel
 from needlefit.reporting.labels import PAPER_COLOUR, rgb
 from needlefit.reporting.scan_pages import write_quality, write_refusal_page
 from needlefit.reporting.slicer import POINT_SIZE_MM, write_scan
-from needlefit.reporting.table import Table, TableLayout
+from needlefit.reporting.table import Table, TableLayout, find_column
 from needlefit.reporting.table_files import Row, select_rows, to_records, write_csv
 from needlefit.reporting.text import KindText
 from needlefit.schemas.origin import combine_origins
@@ -40,8 +39,7 @@ from needlefit.studies.identity import package_versions
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
 from needlefit.studies.report import StudyReport, begin_first_page, write_files
-from needlefit.studies.run import Run
-from needlefit.studies.store import store_sources
+from needlefit.studies.run import Run, store_sources
 
 SCANS_FILE = "scans.csv"
 TIP_COLUMNS = ("tip_l_mm", "tip_p_mm", "tip_s_mm", "tip_along_sd_mm", "tip_across_sd_mm")
