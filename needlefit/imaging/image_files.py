@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from needlefit.errors import DataError, located
 from needlefit.geometry.frames import RAS_TO_LPS
 from needlefit.imaging.volume import READABLE_VOLUMES, VoxelGrid, check_grid, fill_unknown, orthogonalize
-from needlefit.project.reader_process import Arrays, allow_memory
+from needlefit.project.reader_process import Arrays, Planes, allow_memory
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
 # What reads a file's voxels (K, J, I), its grid, the bytes of a voxel, and texts of its header by their keys.
@@ -51,10 +51,10 @@ def read_image(arrays: Arrays, path: str, labels: bool = False) -> dict[str, Any
                 "Overwrite all in the Segment Editor, and save again",
             ) from error
         check_grid(grid)
-        # voxels packed, a buffer, and one to convert into
+        # voxels packed, a buffer, and an array of them or of single precision
         allow_memory(math.prod(grid.size) * (3 * voxel_bytes + 8))
         try:
-            values = arrays["values"] = read()
+            values = read()
         except (RuntimeError, OSError, EOFError, ValueError) as error:
             raise DataError(
                 f"its header is sound, but its voxels are damaged or not all there ({_last_line(error)})",
@@ -62,6 +62,7 @@ def read_image(arrays: Arrays, path: str, labels: bool = False) -> dict[str, Any
                 fix="the file is cut short or damaged: copy it or export it again",
             ) from error
         fill_unknown(values, notes, labels=labels)
+        arrays["values"] = values.view(Planes)
         arrays |= grid.placing | {"direction": orthogonalize(grid.direction)}
         return {"texts": texts, "warnings": notes}
 
@@ -117,10 +118,8 @@ def _open_itk(file: Path) -> Image:
     grid = VoxelGrid((columns, rows, slices), origin, spacing, direction.reshape(3, 3))
 
     def read() -> NDArray[Any]:
-        # indexed k, j, i, the reverse of the image's sizes; whole numbers become floats after the process has
-        # ended, which spares a third copy
-        values = sitk.GetArrayFromImage(reader.Execute())
-        return values.astype(np.float32) if values.itemsize == 8 else values
+        # indexed k, j, i, the reverse of the image's sizes
+        return sitk.GetArrayFromImage(reader.Execute())
 
     segments = {key: text for key, text in texts.items() if key.startswith("Segment")}
     return read, grid, int(kind[1]) // 8 if kind else 0, segments

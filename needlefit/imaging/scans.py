@@ -236,8 +236,8 @@ def parse_layer_source(text: str, folder: Path) -> LayerSource:
     is_segmentation = path.name.lower().endswith(SEGMENTATION_SUFFIXES)
     if not (is_mesh or is_segmentation) or stated["names" if is_mesh else "kind"]:
         raise ValueError(
-            f"a mesh ({', '.join(MESH_SUFFIXES)}), with or without =sheet:2 or =solid:3, or a segmentation "
-            f"({', '.join(SEGMENTATION_SUFFIXES)}), with or without =segments:NAME,NAME"
+            f"{path.name} as a mesh ({', '.join(MESH_SUFFIXES)}), with or without =sheet:2, or as a "
+            f"segmentation ({', '.join(SEGMENTATION_SUFFIXES)}), with or without =segments:NAME,NAME"
         )
     names = tuple(name for part in (stated["names"] or "").split(",") if (name := part.strip()))
     kind: SurfaceKind = "sheet" if stated["kind"] == "sheet" else "solid"

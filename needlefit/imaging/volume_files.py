@@ -8,8 +8,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
-
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.volume import (
     ARCHIVE_SUFFIX,
@@ -136,7 +134,6 @@ def _read_image(path: Path, labels: bool) -> tuple[Volume, dict[str, str]]:
     arguments = {"path": str(path), "labels": labels}
     reader = "needlefit.imaging.image_files:read_image"
     header, arrays = read_in_process(reader, path, arguments, seconds=READ_SECONDS)
-    arrays["values"] = arrays["values"].astype(np.float32, copy=False)
     return Volume(**arrays, warnings=tuple(header["warnings"])), header["texts"]
 
 

@@ -42,6 +42,10 @@ _ONE_THREAD = (*THREAD_VARIABLES, "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS", "MALLO
 Arrays = dict[str, NDArray[Any]]
 
 
+class Planes(np.ndarray[Any, Any]):
+    """An array (K, ...) that is written in single precision, plane by plane: a copy of it takes memory."""
+
+
 def stated_memory_bytes() -> int | None:
     """Return the memory that the user grants one file; None if the environment variable is not set.
 
@@ -132,7 +136,13 @@ def write_answer(request: Mapping[str, Any], answers: IO[bytes]) -> None:
         answer = {"error": parts}
     answers.write(json.dumps(answer).encode("ascii") + b"\n")
     for array in arrays.values() if "value" in answer else ():
-        np.save(answers, array, allow_pickle=False)
+        if isinstance(array, Planes):
+            header = {"descr": "<f4", "fortran_order": False, "shape": array.shape}
+            np.lib.format.write_array_header_1_0(answers, header)
+            for plane in array:
+                answers.write(plane.astype("<f4").tobytes())
+        else:
+            np.save(answers, array, allow_pickle=False)
 
 
 def _set_limits(memory: int, seconds: int) -> None:
