@@ -142,7 +142,7 @@ class Scorer:
             if isinstance(curve, SimulatedCurve) and curve.shape.validity.faults:
                 outside.append(where)
             errors.append(row | self.compute_errors(insertion, [goal.compare(curve) for goal in goals]))
-            shapes += _shape_rows(where, goals, curve)
+            shapes += _list_shapes(where, goals, curve)
         return {"errors": errors, "shapes": shapes, "outside": outside}
 
     def describe(self, where: Row, insertion: Insertion, floors: NoiseFloor) -> Row:
@@ -188,10 +188,13 @@ def make_scorer(job: Job) -> Scorer:
     return Scorer(job.dataset, job.record.layer_count_rule, floors)
 
 
-def _shape_rows(where: Row, goals: Iterable[ComparedPoints], curve: Curve) -> Iterator[Row]:
-    """Yield the places that are compared; of curvatures there are none, beside a tip those of the shape."""
-    names = [f"{which}_{axis}_mm" for which in ("measured", "simulated") for axis in "xyz"]
+def _list_shapes(where: Row, goals: Iterable[ComparedPoints], curve: Curve) -> Iterator[Row]:
+    """Yield the columns of the places that are compared; rows of places take nine times the memory.
+
+    Of curvatures there are none, beside a tip those of the shape.
+    """
+    names = "j", *(f"{which}_{axis}_mm" for which in ("measured", "simulated") for axis in "xyz")
     for goal in [goal for goal in goals if goal.quantity == "places"][:1]:
         simulated, measured = align_points(goal, curve)
-        places = enumerate(np.column_stack([measured, simulated]).tolist())
-        yield from ({**where, "j": j, **dict(zip(names, place, strict=True))} for j, place in places)
+        columns = np.arange(len(measured)), *measured.T, *simulated.T
+        yield where | dict(zip(names, columns, strict=True))

@@ -175,7 +175,11 @@ def _make_frame(job: Job, name: str, parts: Sequence[FitRows]) -> pd.DataFrame:
     """Return one table of all folds; without rows it still has its columns."""
     rows = join_rows(parts, name)
     values = job.parameters.names if name in ("starts", "profiles", "draws") else ()
-    return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*FRAMES[name], *values])
+    if not rows:
+        return pd.DataFrame(columns=[*FRAMES[name], *values])
+    if name == "shapes":  # each row holds the columns of one curve
+        return pd.concat(map(pd.DataFrame, rows), ignore_index=True)
+    return pd.DataFrame(rows)
 
 
 def find_faults(
