@@ -51,8 +51,7 @@ def write_import(folder: Path, prepared: PreparedImport, overwrite: bool = False
     """Write a dataset with its mapping, picture, scene and first study into a new folder, or nothing.
 
     Tip tracks get no picture. ConfigError if `folder` holds something, with `overwrite` if that is no import.
-    DataError: listing
-    the faults of the dataset, at their places in the imported files.
+    DataError listing the faults of the dataset, at their places in the imported files.
     """
     with replace_folder(folder, is_result=False, find=find_not_imported if overwrite else None) as fresh:
         plan = prepared.plan

@@ -135,8 +135,7 @@ def _ask_markups(path: Path, table: Table, draft: Draft, files: Sequence[Path]) 
         return
     for name, count in Counter(row[0] for row in table.rows).items():
         if count < MIN_POINTS:
-            answers = {"needle": {key: "shapes"}, "boundary": {"surfaces": path.name}}
-            draft.ask("markups", path.name, answers, name=name, count=count)
+            draft.ask("markups", path.name, name=name, count=count, file=path.name, number=len(draft.tables))
     others = {other.name.partition(".")[0] for other in files if other != path}
     left_out = split_names(draft.values.get("leave_out", ""))
     for markups in read_markups(path):
@@ -144,8 +143,7 @@ def _ask_markups(path: Path, table: Table, draft: Draft, files: Sequence[Path]) 
         is_open = len(named) > 1 and markups.name not in left_out
         if is_open and not any(map(str.isdecimal, named)):  # Slicer itself counts points
             names = ",".join(sorted({*left_out, markups.name}))
-            answers = {"no": {"leave_out": names}, "needle": {key: "shapes"}}
-            draft.ask("named_points", path.name, answers, name=markups.name)
+            draft.ask("named_points", path.name, name=markups.name, names=names, number=len(draft.tables))
 
 
 def list_different(paths: Iterable[Path]) -> list[Path]:
@@ -233,7 +231,7 @@ def _ask_specimens(draft: Draft, files: Sequence[Path]) -> None:
         return
     folders = dict.fromkeys(path.absolute().parent.name for path in paths)
     if len(folders) > 1:
-        draft.ask("specimens", "", source="folder", names=join_names([*folders], MAX_NAMED_SPECIMENS))
+        draft.ask("specimens", "", names=join_names([*folders], MAX_NAMED_SPECIMENS))
         return
     stems = [name_stem(path) for path in paths]
     words = dict.fromkeys(
@@ -243,11 +241,8 @@ def _ask_specimens(draft: Draft, files: Sequence[Path]) -> None:
         pattern = rf".*?({word}[-_ ]?[^\W_]+).*"
         names = dict.fromkeys(match[1] for stem in stems if (match := re.fullmatch(pattern, stem)))
         if 1 < len(names) < len(stems):
-            answers = {
-                "yes": {"specimen.source": "file", "specimen.pattern": pattern},
-                "no": {"specimen": "each"},
-            }
-            draft.ask("specimens", "", answers, source=word, names=join_names([*names], MAX_NAMED_SPECIMENS))
+            listed = join_names([*names], MAX_NAMED_SPECIMENS)
+            draft.ask("named_specimens", "", word=word, pattern=pattern, names=listed)
 
 
 # ---- sheets and grids

@@ -81,6 +81,8 @@ class ImportPlan(CurveAnswers):
         for curve in self.curves:
             shared = self.boundaries_mm[curve.row.medium]
             curve.fill(
+                side=curve.side,
+                curvature=curve.read_curvature(),
                 needle=names.get(curve.needle, ""),
                 point_sd=None if curve.point_sd == sd else curve.point_sd,
                 boundaries=None if curve.boundaries == shared else curve.boundaries,

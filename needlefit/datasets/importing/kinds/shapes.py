@@ -235,7 +235,6 @@ class ShapePlacer(Placer):
         is_own = any("entry_point" in curve.stated for curve in curves)
         for curve in curves:
             curve.fill(
-                side=curve.side,
                 # a stated length is believed
                 depth_sd=0.0 if "depth" in curve.stated else measure_curve(curve.line, point_sd).length_sd,
                 # one entry that is stated of all is the origin of their coordinates, and no hole
@@ -267,7 +266,6 @@ class ShapePlacer(Placer):
                 pose_shift_sd=shifts[curve],
                 pose_angle_sd=axes[curve].angle_sd if is_shaft else float(np.radians(answer.to_number())),
                 turns=tuple((depth, np.radians(cell.to_angle()) - curve.turn) for depth, cell in curve.turns),
-                curvature=curve.read_curvature(),
             )
         self.settle_bevel()
         counts = {curve.name: len(curve.turns) + len(curve.sensors) for curve in curves}

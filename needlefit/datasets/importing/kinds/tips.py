@@ -51,14 +51,12 @@ class TipPlacer(Placer):
         for curve in self.curves:
             turned = Rotation.from_rotvec([curve.turn, 0.0, 0.0])
             curve.fill(
-                side=curve.side,
                 entry=curve.frame.origin,
                 direction=curve.frame.rotation[:, 0],
                 bevel=curve.frame.rotation @ turned.apply([0.0, 1.0, 0.0]),
                 pose_source="stage",
                 pose_shift_sd=shifts[curve],
                 pose_angle_sd=float(np.radians(angle_sds[curve])),
-                curvature=curve.read_curvature(),
             )
         self.meet_layers()
 

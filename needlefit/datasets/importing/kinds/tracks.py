@@ -98,11 +98,6 @@ class TrackPlacer(Placer):
             raise self.settle("bevel").error(needed)
         return normalize(sideways)
 
-    def fill_rows(self) -> None:
-        """Fill in the sides of the bevels."""
-        for curve in self.curves:
-            curve.fill(side=curve.side)
-
     def choose_study(self) -> Mapping[str, float | str]:
         """Return which readings place a predicted run, and which difference of errors does not matter.
 
