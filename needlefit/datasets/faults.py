@@ -16,7 +16,7 @@ MAX_LISTED_PLACES = 5  # places that are listed of more
 _PLACE = re.compile(r"(?::(?=\d)|, (?=(?:line|point|row|sheet) ))(?P<place>[^/]*)$")  # behind a file's name
 
 
-def note_fault(faults: list[Fault], where: str, problem: str, expected: str, fix: str) -> None:
+def note_fault(faults: list[Fault], where: str | Path, problem: str, expected: str, fix: str) -> None:
     """Note what is wrong at a place, what is expected there, and how it is fixed."""
     faults.append(DataError(problem, expected=expected, fix=fix, where=where))
 

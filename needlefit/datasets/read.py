@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from needlefit.datasets.checks import check_insertions
 from needlefit.datasets.columns import BEVEL_FIX, InsertionRow
 from needlefit.datasets.digests import digest_insertion
-from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.faults import Fault, as_error, note_fault
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, read_curve, read_table
 from needlefit.datasets.insertion import DEFAULT_MEASUREMENT, Dataset, Insertion, Noise, find_free_reach
@@ -306,13 +306,12 @@ class _Centerlines:
             # not str.format, whose attributes and widths a dataset from elsewhere could misuse
             names = [_FIELD.sub(lambda part, row=row: str(row[part[1]]), template) for row in keys]
         except KeyError:
-            faults.append(
-                DataError(
-                    f"insertions.id_template is {template!r}",
-                    expected=f"text with {{...}} around columns of group_by: {', '.join(group_by)}",
-                    fix="use only these names in it",
-                    where=f"{path}:1",
-                )
+            note_fault(
+                faults,
+                f"{path}:1",
+                f"insertions.id_template is {template!r}",
+                f"text with {{...}} around columns of group_by: {', '.join(group_by)}",
+                "use only these names in it",
             )
             names = []
         ids = np.array(names, dtype=object)
@@ -324,15 +323,12 @@ class _Centerlines:
             for name, rows in self.groups.items():
                 other = np.flatnonzero(text[rows] != text[rows[0]])
                 if len(other):
-                    faults.append(
-                        DataError(
-                            f"column `{column}` changes within insertion {name}",
-                            expected="one value",
-                            fix=(
-                                "fix the cells, or distinguish the insertions by this column too (group_by)"
-                            ),
-                            where=table.where(int(rows[other[0]])),
-                        )
+                    note_fault(
+                        faults,
+                        table.where(int(rows[other[0]])),
+                        f"column `{column}` changes within insertion {name}",
+                        "one value",
+                        "fix the cells, or distinguish the insertions by this column too (group_by)",
                     )
         return True
 
@@ -355,13 +351,12 @@ class _Centerlines:
         lines = self.record.centerlines
         if lines.pattern is None:
             if self.long is None or row.id not in self.groups:
-                faults.append(
-                    DataError(
-                        f"has no rows of insertion {row.id}",
-                        expected="rows of every insertion",
-                        fix="add them, or remove the insertion from the table",
-                        where=self.root / (lines.file or ""),
-                    )
+                note_fault(
+                    faults,
+                    self.root / (lines.file or ""),
+                    f"has no rows of insertion {row.id}",
+                    "rows of every insertion",
+                    "add them, or remove the insertion from the table",
                 )
                 return None
             return read_curve(_take_rows(self.long, self.groups[row.id]), lines.columns, faults)

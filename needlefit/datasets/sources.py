@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from needlefit.datasets.faults import Fault
+from needlefit.datasets.faults import Fault, note_fault
 from needlefit.errors import DataError
 from needlefit.project.folders import list_all_files, sha256
 from needlefit.project.input_files import is_dir, is_file
@@ -65,9 +65,7 @@ def find_checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fau
                 continue
             problem = "is not the file described: wrong checksum"
             fix = f"if the change is meant, write {actual} under [checksums]"
-        faults.append(
-            DataError(problem, expected=f"sha256 {expected}", fix=f"restore the file, or {fix}", where=file)
-        )
+        note_fault(faults, file, problem, f"sha256 {expected}", f"restore the file, or {fix}")
     return faults
 
 

@@ -20,7 +20,7 @@ from scipy.special import ndtri
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import make_id
-from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.faults import Fault, as_error, note_fault
 from needlefit.datasets.layers import compute_depths, find_hole, find_surface_faults, make_file_fault
 from needlefit.errors import DataError, located
 from needlefit.geometry.crossings import find_crossings
@@ -157,13 +157,12 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
     segmented = next((source for source in scan.surfaces if source.is_segmentation), None)
     if segmented is not None and len(scan.surfaces) > 1:
         names = ", ".join(source.path.name for source in scan.surfaces)
-        faults.append(
-            DataError(
-                f"lists a segmentation beside other surfaces: {names}",
-                expected="meshes, or one segmentation",
-                fix="list it alone",
-                where=segmented.path,
-            )
+        note_fault(
+            faults,
+            segmented.path,
+            f"lists a segmentation beside other surfaces: {names}",
+            "meshes, or one segmentation",
+            "list it alone",
         )
     elif segmented is not None:
         try:
@@ -179,13 +178,12 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
             place += source.into != 1  # the tissue's own takes no place
     for n, surface in enumerate(surfaces):
         if any(np.array_equal(surface.vertices, other.vertices) for other in surfaces[:n]):
-            faults.append(
-                DataError(
-                    f"lists the surface {surface.name} twice: one layer would be left out",
-                    expected="a surface of its own for each layer",
-                    fix="name the file of the other layer",
-                    where=scan.volume,
-                )
+            note_fault(
+                faults,
+                scan.volume,
+                f"lists the surface {surface.name} twice: one layer would be left out",
+                "a surface of its own for each layer",
+                "name the file of the other layer",
             )
     within = layers_in_scan(scan)
     world = tuple(transform_surface(surface, patient) if within else surface for surface in surfaces)
@@ -195,14 +193,12 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
             if (steps.max(axis=0) < -0.5).any() or (steps.min(axis=0) > np.array(grid.size) - 0.5).any():
                 # a mesh is called as its file, all others are of the first
                 paths = (source.path for source in scan.surfaces if source.path.stem == surface.name)
-                faults.append(
-                    DataError(
-                        f"the surface {surface.name} lies outside the scan {scan.volume}",
-                        expected="surfaces and scan in one place",
-                        fix="see whether it belongs to this scan, stands in its frame or the world's, in "
-                        "LPS or RAS",
-                        where=next(paths, scan.surfaces[0].path),
-                    )
+                note_fault(
+                    faults,
+                    next(paths, scan.surfaces[0].path),
+                    f"the surface {surface.name} lies outside the scan {scan.volume}",
+                    "surfaces and scan in one place",
+                    "see whether it belongs to this scan, stands in its frame or the world's, in LPS or RAS",
                 )
     if faults:
         raise as_error(faults, scan.volume)

@@ -30,7 +30,7 @@ from needlefit.datasets.columns import (
     is_id,
     make_id,
 )
-from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.faults import Fault, as_error, note_fault
 from needlefit.datasets.formats.csv import list_columns, read_table
 from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
 from needlefit.errors import DataError
@@ -260,13 +260,12 @@ def _build_scan(cells: Mapping[str, str], folder: Path, where: str, faults: list
             column = VECTORS[name][int(place[0])] if place else name
             value = repr(detail["input"]) if isinstance(detail["input"], str) else "empty"
             text = re.sub("Value error, |Input should be |, unable to parse.*", "", detail["msg"])
-            faults.append(
-                DataError(
-                    f"{column} is {value}" if name else text,
-                    expected=text if name else "",
-                    fix="correct it, or leave it out with what belongs to it",
-                    where=where,
-                )
+            note_fault(
+                faults,
+                where,
+                f"{column} is {value}" if name else text,
+                text if name else "",
+                "correct it, or leave it out with what belongs to it",
             )
         return None
     fields, pose = dict(row), row.stage
@@ -296,25 +295,23 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
             where=f"{path}:1",
         )
     for name in (name for name in cells if name not in SCAN_COLUMNS):
-        faults.append(
-            DataError(
-                f"column `{name}` is unknown",
-                expected=f"one of {', '.join(SCAN_COLUMNS)}",
-                fix="remove the column, or correct its name",
-                where=f"{path}:1",
-            )
+        note_fault(
+            faults,
+            f"{path}:1",
+            f"column `{name}` is unknown",
+            f"one of {', '.join(SCAN_COLUMNS)}",
+            "remove the column, or correct its name",
         )
     rows = cells[[name for name in cells if name in SCAN_COLUMNS]].to_dict("records")
     places = [table.where(n) for n in range(len(rows))]
     unmarked = [place for row, place in zip(rows, places, strict=True) if not row.get("markers")]
     if 0 < len(unmarked) < len(rows):  # the worlds of the others would be others
-        faults.append(
-            DataError(
-                "`markers` is empty, but other scans have some",
-                expected="one world for all: markers for every scan, or for none",
-                fix="add the markers' places, or put this scan into a table of its own",
-                where=unmarked[0],
-            )
+        note_fault(
+            faults,
+            unmarked[0],
+            "`markers` is empty, but other scans have some",
+            "one world for all: markers for every scan, or for none",
+            "add the markers' places, or put this scan into a table of its own",
         )
     return _build_scans(rows, places, path, path.parent, faults)
 
@@ -332,13 +329,12 @@ def _build_scans(
         id_ = row.get("id") or scan_id(Path(row["scan"]))
         scan = _build_scan({**row, "id": id_}, folder, place, faults)
         if id_ in first:
-            faults.append(
-                DataError(
-                    f"has the id {id_}, as {first[id_]} has",
-                    expected="a different id for every scan: it names files of the dataset",
-                    fix="give each an id of its own in a table of scans",
-                    where=place,
-                )
+            note_fault(
+                faults,
+                place,
+                f"has the id {id_}, as {first[id_]} has",
+                "a different id for every scan: it names files of the dataset",
+                "give each an id of its own in a table of scans",
             )
         first.setdefault(id_, place)
         scans[id_] = scan
@@ -358,11 +354,7 @@ def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[S
     faults: list[Fault] = []
     once = shared.fiducials or shared.mask or shared.series
     if len(volumes) > 1 and once:
-        faults.append(
-            DataError(
-                f"is given for {len(volumes)} scans", expected="one scan", fix=SCAN_TABLE_FIX, where=once
-            )
-        )
+        note_fault(faults, once, f"is given for {len(volumes)} scans", "one scan", SCAN_TABLE_FIX)
     stated = {name: str(getattr(shared, name) or "") for name in ("medium", "series", *FILES)}
     stated |= {"surfaces": ";".join(shared.layers), "surfaces_in": shared.layers_in}
     rows = [{**stated, "scan": str(volume)} for volume in volumes]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.columns import HOLE_COLUMN, NEEDLE_COLUMN, POINT_SD_COLUMN, SETUP_COLUMN
 from needlefit.datasets.digests import digest_track
-from needlefit.datasets.faults import Fault
+from needlefit.datasets.faults import Fault, note_fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
 from needlefit.datasets.insertion import GuideMotion, Insertion
 from needlefit.datasets.layers import MAX_HEADING_DEG
@@ -93,13 +93,12 @@ def _parse_track_columns(
     before = len(faults)
     table = rename_columns(table, source.columns, source.constants, faults)
     for name in sorted((source.columns.keys() | source.constants.keys()) - {*known_columns}):
-        faults.append(
-            DataError(
-                f"`columns` or `constants` names {name}",
-                expected=f"one of {', '.join(known_columns)}",
-                fix="correct [tip_tracks] of dataset.toml",
-                where=table.path,
-            )
+        note_fault(
+            faults,
+            table.path,
+            f"`columns` or `constants` names {name}",
+            f"one of {', '.join(known_columns)}",
+            "correct [tip_tracks] of dataset.toml",
         )
     if note_missing_columns(table, REQUIRED_TRACK_COLUMNS, faults) or len(faults) > before:
         return None
