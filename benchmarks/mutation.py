@@ -72,7 +72,7 @@ AREAS = {
         ("inference_importance", "inference_specimens", "inference_golden"),
     ),
     "errors": Area(
-        ("inference/error_tolerance.py", "inference/error_fit.py"),
+        ("inference/error_fit.py",),
         ("inference_error_fit",),
     ),
     "held": Area(("inference/held_parameters.py",), ("inference_held",)),

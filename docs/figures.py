@@ -26,8 +26,14 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.planning.recording import RecordedStep, Recording, make_head, write_recording
-from needlefit.planning.steered_needle import Change, SteeredNeedle
+from needlefit.planning.steered_needle import (
+    Change,
+    RecordedStep,
+    Recording,
+    SteeredNeedle,
+    make_head,
+    write_recording,
+)
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.reporting.figures.style import RC_PARAMS

@@ -6,8 +6,14 @@ from page_files import run_node
 from test_page_model import SCENES, pytestmark, random_orders  # noqa: F401 - a mark of this module, too
 
 from needlefit.mechanics.shape import list_planes
-from needlefit.planning.recording import begin_replay, format_head, read_recording, replay
-from needlefit.planning.steered_needle import SteeredNeedle, make_steered_scene
+from needlefit.planning.steered_needle import (
+    SteeredNeedle,
+    begin_replay,
+    format_head,
+    make_steered_scene,
+    read_recording,
+    replay,
+)
 from needlefit.viewer.page_needle import encode_scene
 
 PROGRAM = """

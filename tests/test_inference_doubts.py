@@ -10,9 +10,8 @@ from inference_cases import problem as make_problem
 
 from needlefit.datasets.insertion import Noise
 from needlefit.inference import doubts
-from needlefit.inference.doubts import Doubts, find_doubts, find_limit
+from needlefit.inference.doubts import Doubts, find_doubts, find_limit, fit_quickly
 from needlefit.inference.hypotheses import Change, Deviation, Explanation, explain, search_sizes
-from needlefit.inference.linear_needles import fit_quickly
 
 DEPTHS = np.linspace(35.0, 65.0, 7)
 POINT_SD = 0.05

@@ -13,9 +13,8 @@ from pytest import approx
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
 from needlefit.datasets.select import MIN_GROUPS
-from needlefit.inference import error_tolerance
-from needlefit.inference.error_fit import examine_errors, find_error_ranges
-from needlefit.inference.error_tolerance import estimate_tolerance
+from needlefit.inference import error_fit
+from needlefit.inference.error_fit import estimate_tolerance, examine_errors, find_error_ranges
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
 from needlefit.inference.parameters import without_prior
@@ -117,7 +116,7 @@ def test_insertions_that_are_alike_give_one_excess_however_often_each_is_drawn()
 
 
 def test_the_tolerance_by_insertions_is_the_quantile_over_groups_drawn_again(monkeypatch):
-    monkeypatch.setattr(error_tolerance, "REPLICATES", 1000)
+    monkeypatch.setattr(error_fit, "REPLICATES", 1000)
     made = [
         measure(TRUTH | {"bevel_mm": b}, medium(), replace(one_needle(), id=str(k), specimen=str(k)))
         for k, b in enumerate((0.055, 0.065, 0.089, 0.106, 0.118))

@@ -18,7 +18,7 @@ from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import check, read
 from needlefit.datasets.select import find_repeats
 from needlefit.errors import DataError, UnfinishedWorkError
-from needlefit.inference.error_tolerance import estimate_tolerance
+from needlefit.inference.error_fit import estimate_tolerance
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observations import SimulatedCurve, estimate_floor, list_comparisons
 from needlefit.inference.likelihood.observations.curvature import integrate_sensors, surround_sensors

@@ -18,7 +18,7 @@ from PIL import Image
 from pytest import approx
 
 from needlefit.mechanics.shape import list_planes
-from needlefit.planning.recording import read_recording, replay
+from needlefit.planning.steered_needle import read_recording, replay
 from needlefit.reporting.needle_page import kernel_exists
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.page_needle import compose_page

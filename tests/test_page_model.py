@@ -21,9 +21,9 @@ from needlefit.planning.steered_needle import Change, SteeredNeedle, make_steere
 from needlefit.reporting.needle_page import encode_draws
 from needlefit.schemas.scene import SceneRecord
 from needlefit.studies.needle_placement import BAND_PROBABILITY, NEEDLE_POINTS
+from needlefit.viewer.measured import ViewedScene
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.page_needle import encode_scene
-from needlefit.viewer.viewed_scene import ViewedScene
 
 pytestmark = pytest.mark.skipif(
     shutil.which("node") is None or not (native.FOLDER / "kernel.wasm").is_file(),

@@ -21,7 +21,7 @@ from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.planning.goals import Goal, compute_clearances, cut_plane, find_hits, read_goal_points
-from needlefit.planning.recording import Recording, read_recording, replay
+from needlefit.planning.steered_needle import Recording, read_recording, replay
 from needlefit.planning.steering import PlanLimits, plan_steering
 from needlefit.schemas.scene import ObstacleRecord
 from needlefit.viewer import opening

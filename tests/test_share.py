@@ -12,8 +12,13 @@ from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 from test_viewer_recording import read
 
 from needlefit.mechanics.scene import Scene
-from needlefit.planning.recording import RecordedStep, Recording, read_recording, write_recording
-from needlefit.planning.steered_needle import SteeredNeedle
+from needlefit.planning.steered_needle import (
+    RecordedStep,
+    Recording,
+    SteeredNeedle,
+    read_recording,
+    write_recording,
+)
 from needlefit.reporting.needle_page import kernel_exists
 from needlefit.viewer.opening import open_recording, open_target
 from needlefit.viewer.page_needle import compose_page

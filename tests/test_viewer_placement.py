@@ -10,15 +10,16 @@ from needlefit.geometry.frames import Placement
 from needlefit.inference.likelihood.observations import select_points
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
-from needlefit.planning.recording import (
+from needlefit.planning.steered_needle import (
+    Change,
     RecordedStep,
     Recording,
+    SteeredNeedle,
     begin_replay,
     read_recording,
     replay,
     write_recording,
 )
-from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.studies.needle_placement import NEEDLE_POINTS
 from needlefit.viewer.opening import open_target
 

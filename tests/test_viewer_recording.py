@@ -9,15 +9,16 @@ import pytest
 from needlefit.errors import NeedlefitError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
-from needlefit.planning.recording import (
+from needlefit.planning.steered_needle import (
+    Change,
     RecordedStep,
     Recording,
+    SteeredNeedle,
     make_head,
     read_recording,
     replay,
     write_recording,
 )
-from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord

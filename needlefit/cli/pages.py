@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from needlefit.planning.goals import Goal, PlaneGoal
     from needlefit.planning.steering import SteeringPlan
     from needlefit.studies.first_page import RunFault
-    from needlefit.viewer.viewed_scene import ViewedScene
+    from needlefit.viewer.measured import ViewedScene
 
 
 def view(
@@ -50,7 +50,7 @@ def view(
     require_writable(folder)
     if target is not None:
         options.note_others("view", target)  # before a wrong name is reported
-    from needlefit.planning.recording import read_recording
+    from needlefit.planning.steered_needle import read_recording
     from needlefit.viewer.opening import open_recording, open_target
     from needlefit.viewer.page_needle import compose_page
 
@@ -133,7 +133,7 @@ def plan(
     Writes OUT/plan/NAME.html (default: ./reports), a page along whose plan the depth is dragged, with target,
     obstacles and the needles of the draws.
     """
-    from needlefit.planning.recording import write_recording as write_recording_file
+    from needlefit.planning.steered_needle import write_recording as write_recording_file
     from needlefit.planning.steering import PlanLimits, plan_to_target
     from needlefit.project.unit_warnings import extrapolation_warnings
     from needlefit.reporting.needle_page import kernel_exists

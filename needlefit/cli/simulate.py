@@ -133,7 +133,7 @@ def _replay_recording(path: Path, outputs: Mapping[str, Path]) -> "tuple[_Simula
     ConfigError if one of `outputs`, by option, is a file of what was steered, or cannot be written.
     """
     from needlefit.geometry.frames import Placement
-    from needlefit.planning.recording import begin_replay, read_recording, replay
+    from needlefit.planning.steered_needle import begin_replay, read_recording, replay
 
     recording = read_recording(path)
     head, shown = recording.head, list[Path]()

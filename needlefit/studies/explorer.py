@@ -26,8 +26,13 @@ from needlefit.planning.insertion_scene import (
     name_bevel_key,
     name_layer_values,
 )
-from needlefit.planning.recording import format_head, make_head
-from needlefit.planning.steered_needle import list_scene_changes, make_steered_scene, name_guides
+from needlefit.planning.steered_needle import (
+    format_head,
+    list_scene_changes,
+    make_head,
+    make_steered_scene,
+    name_guides,
+)
 from needlefit.reporting import labels
 from needlefit.reporting.needle_page import (
     MAX_BAND_DRAWS,

@@ -13,13 +13,12 @@ import numpy as np
 
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.mechanics.laws import LAWS
-from needlefit.planning.recording import Recording
-from needlefit.planning.steered_needle import make_steered_scene
+from needlefit.planning.steered_needle import Recording, make_steered_scene
 from needlefit.project.input_files import is_file, read_text
 from needlefit.project.locate import TargetKind, file_label, find_view_target
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.viewed_scene import ViewedScene
+from needlefit.viewer.measured import ViewedScene
 
 if TYPE_CHECKING:
     from needlefit.inference.forward_model import ParameterDraws

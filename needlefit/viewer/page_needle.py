@@ -6,10 +6,16 @@ from typing import TYPE_CHECKING, Any
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.simulate import find_last_shape
 from needlefit.mechanics.tissue import Tissue
-from needlefit.planning.recording import RecordedStep, Recording, format_head
-from needlefit.planning.steered_needle import SteeredNeedle, list_scene_changes, make_steered_scene
+from needlefit.planning.steered_needle import (
+    RecordedStep,
+    Recording,
+    SteeredNeedle,
+    format_head,
+    list_scene_changes,
+    make_steered_scene,
+)
 from needlefit.reporting import needle_page
-from needlefit.viewer.viewed_scene import ViewedScene
+from needlefit.viewer.measured import ViewedScene
 
 if TYPE_CHECKING:
     from needlefit.planning.steering import SteeringPlan

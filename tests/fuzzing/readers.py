@@ -140,7 +140,7 @@ READERS = {
     "dicom": Reader(READ_VOLUME, seeds.dicom, SLOWEST),
     "archive": Reader(READ_VOLUME, seeds.archives, SLOWEST),
     "mesh": Reader(_mesh, seeds.meshes, 50),
-    "recording": Reader(partial(_call, "planning.recording.read_recording"), seeds.recordings),
+    "recording": Reader(partial(_call, "planning.steered_needle.read_recording"), seeds.recordings),
     "results": Reader(_results, seeds.results, 20, packed=True),
     "posterior": Reader(partial(_call, "inference.sampling.posterior.load"), seeds.posteriors, SLOWEST),
     "checkpoint": Reader(_checkpoint, seeds.checkpoints, 40),

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.inference.error_tolerance import find_search_tolerance
+from needlefit.inference.error_fit import find_search_tolerance
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
