@@ -36,7 +36,7 @@ def make(made, point_sd=POINT_SD):
 
 def doubt(made, point_sd=POINT_SD):
     problem = make(made, point_sd)
-    return find_doubts(problem, problem.parameters.theta(TRUTH)).odd
+    return find_doubts(problem, problem.parameters.theta(TRUTH)).odd_needles
 
 
 def change(made, number, by):
@@ -153,7 +153,7 @@ def test_where_more_than_a_quarter_deviate_none_is_accused():
     problem = make(made)
     theta = fit_quickly(problem)
     found = find_doubts(problem, theta)
-    assert found.odd == () and found.deviating in [(n, 7) for n in range(3, 8)]
+    assert found.odd_needles == () and found.deviating in [(n, 7) for n in range(3, 8)]
     assert all(find_doubts(make(measure_needles(seed)), theta).deviating is None for seed in range(3))
 
 
@@ -170,10 +170,12 @@ def test_what_happened_to_all_needles_alike_is_named_with_its_size_and_none_is_a
         made = change(made, number, by)
     problem = make(made)
     found = find_doubts(problem, fit_quickly(problem))
-    assert list(found.odd) == [] and found.deviating is None and found.common is not None
-    assert found.common.cause == cause and found.common.size == pytest.approx(size, abs=3 * found.common.sd)
+    assert list(found.odd_needles) == [] and found.deviating is None and found.common_doubt is not None
+    assert found.common_doubt.cause == cause and found.common_doubt.size == pytest.approx(
+        size, abs=3 * found.common_doubt.sd
+    )
     made[2] = made[2].with_points(made[2].points * [1, -1, 1])
-    beside = find_doubts(make(made), problem.parameters.theta(TRUTH)).common
+    beside = find_doubts(make(made), problem.parameters.theta(TRUTH)).common_doubt
     assert beside.cause == cause and beside.size == pytest.approx(size, abs=3 * beside.sd)
 
 
@@ -181,25 +183,25 @@ def test_a_guide_that_gave_way_toward_the_bevels_is_no_boundary_elsewhere():
     made = [one.with_points(one.points + np.array([0, 0.3 * one.side, 0])) for one in measure_needles(8)]
     problem = make(made)
     found = find_doubts(problem, fit_quickly(problem))
-    assert list(found.odd) == [] and found.common is None
+    assert list(found.odd_needles) == [] and found.common_doubt is None
 
 
 def test_bevels_that_all_face_one_way_do_not_tell_a_turn_of_all_from_an_error_of_the_model():
     made = [replace(one, side=1).with_points(one.points * [1, one.side, 1]) for one in measure_needles(1)]
     turned = [one.with_points(one.points + np.outer(one.points[:, 0], [0, 0.03, 0])) for one in made]
     problem = make(turned)
-    assert find_doubts(problem, fit_quickly(problem)).common is None
+    assert find_doubts(problem, fit_quickly(problem)).common_doubt is None
 
 
 def test_a_boundary_that_is_stated_in_centimetres_is_found_if_the_noise_is_known():
     made = [replace(one, boundaries=np.array([2.0])) for one in measure_needles(7)]
     problem = make(made)
     theta = fit_quickly(problem)
-    common = find_doubts(problem, theta).common
+    common = find_doubts(problem, theta).common_doubt
     assert (common.cause, common.where, common.stated) == ("boundary", "1", 2.0)
     assert common.size == pytest.approx(18.0, abs=1.0)
     likelihood = problem.likelihood.model_copy(update={"noise_scale": "estimated"})
-    assert find_doubts(replace(problem, likelihood=likelihood), theta).common is None
+    assert find_doubts(replace(problem, likelihood=likelihood), theta).common_doubt is None
 
 
 def test_three_needles_needles_off_their_plane_and_needles_without_stated_noise_are_not_judged():

@@ -234,10 +234,10 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
         screen.print_text(f"{_judge(faults.warnings)}: {file_label(path)}, {faults.kind}{folds_text}.")
     screen.print_warnings(invocation, faults.warnings)
     if not invocation.json:
-        if faults.doubts.odd:
+        if faults.doubts.odd_needles:
             from needlefit.studies.fit_figures import draw_odd_needles
 
-            picture = draw_odd_needles(faults.doubts.odd)
+            picture = draw_odd_needles(faults.doubts.odd_needles)
             screen.print_note(f"written: {picture.save(Path(f'{path.stem}_odd_needles.pdf'), faults.origin)}")
         if faults.doubts.unjudged:
             from needlefit.studies.first_page import CHECKS

@@ -330,12 +330,12 @@ COMMON_NEEDLES = 30
 
 
 class Doubts(NamedTuple):
-    """The needles that a fit to the others does not predict, the oddest first."""
+    """The needles that a fit to the others does not predict, the oddest first; names as of `FitMetadata`."""
 
-    odd: Sequence[DoubtMetadata] = ()
+    odd_needles: Sequence[DoubtMetadata] = ()
     #: how many of how many needles deviate, where so many do that the model does not fit
     deviating: tuple[int, int] | None = None
-    common: DoubtMetadata | None = None  #: what may have happened to all needles alike
+    common_doubt: DoubtMetadata | None = None  #: what may have happened to all needles alike
     #: why none was compared with the others: "few" needles, without "noise", out of their "plane", "unsolved"
     unjudged: str = ""
 
@@ -409,8 +409,8 @@ def _find_shared(problem: Problem, theta: Floats, odd: set[str]) -> Doubts | Non
             return doubts
         changed = change_all(problem, found.change, found.size)
         again = find_doubts(changed, refit(changed, changed.insertions, theta), seeks_common=False)
-        doubts = again._replace(common=DoubtMetadata(**found.describe()))
-        names = {needle.insertion for needle in again.odd}
+        doubts = again._replace(common_doubt=DoubtMetadata(**found.describe()))
+        names = {needle.insertion for needle in again.odd_needles}
         if names <= odd:
             return doubts
         odd = odd | names

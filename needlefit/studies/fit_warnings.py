@@ -175,27 +175,22 @@ def _find_shared_residual(run: Run) -> Iterator[Row]:
             return
 
 
-def _read_doubts(run: Run) -> Doubts:
-    metadata = run.knows(FitMetadata)
-    return Doubts(metadata.odd_needles, metadata.deviating, metadata.common_doubt)
-
-
 def warn_of_doubts(doubts: Doubts) -> list[ResultWarning]:
     """Return the warnings about needles that the others do not predict, and about stated boundaries."""
     rules = {"needle_outlier": _describe_doubts, "boundary_shift": _describe_shifted_boundary}
     return [write_warning(kind, values) for kind, describe in rules.items() for values in describe(doubts)]
 
 
-def _describe_shifted_boundary(doubts: Doubts) -> Iterator[Row]:
+def _describe_shifted_boundary(doubts: Doubts | FitMetadata) -> Iterator[Row]:
     """Yield the boundary that all needles put elsewhere."""
-    if doubts.common is not None and doubts.common.stated is not None:
-        yield vars(doubts.common)
+    if doubts.common_doubt is not None and doubts.common_doubt.stated is not None:
+        yield vars(doubts.common_doubt)
 
 
-def _describe_doubts(doubts: Doubts) -> Iterator[Row]:
-    if doubts.common is not None and doubts.common.stated is None:
-        yield {**vars(doubts.common), "text": "all_needles"}
-    for needle in doubts.odd:
+def _describe_doubts(doubts: Doubts | FitMetadata) -> Iterator[Row]:
+    if doubts.common_doubt is not None and doubts.common_doubt.stated is None:
+        yield {**vars(doubts.common_doubt), "text": "all_needles"}
+    for needle in doubts.odd_needles:
         yield {**vars(needle), "larger": needle.size is not None and needle.size > 0}
     if doubts.deviating is not None:
         yield {"text": "needles_deviate", "count": doubts.deviating[0], "total": doubts.deviating[1]}
@@ -254,8 +249,8 @@ RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
     "noise_too_large": partial(_find_wrong_noise, too_large=True),
     "noise_too_small": partial(_find_wrong_noise, too_large=False),
     "shared_residual": _find_shared_residual,
-    "boundary_shift": lambda run: _describe_shifted_boundary(_read_doubts(run)),
-    "needle_outlier": lambda run: _describe_doubts(_read_doubts(run)),
+    "boundary_shift": lambda run: _describe_shifted_boundary(run.knows(FitMetadata)),
+    "needle_outlier": lambda run: _describe_doubts(run.knows(FitMetadata)),
     "units": _find_implausible,
 }
 

@@ -132,10 +132,7 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
     if mode is not None and job.dataset.pose == "free" and job.dataset.noise_is_stated:
         factors = predict_factors(join_folds(job), mode)
     where_known = {  # left out where there is nothing to say
-        "odd_needles": list(doubts.odd),
-        "deviating": doubts.deviating,
-        "common_doubt": doubts.common,
-        "unjudged": doubts.unjudged,
+        **doubts._asdict(),
         "with_direction": factors,
         **{name: join_rows(rows, name) for name in ("stated_depths", "medians")},
     }
