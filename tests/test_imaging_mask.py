@@ -45,7 +45,7 @@ def saved(folder, mask):
 @pytest.mark.sweep
 def test_a_mask_replaces_the_thresholds(volume, mask, tmp_path):
     refusal(DataError, "2 needles", segmentation.select_needle, volume, cases.RECIPE)
-    points = read_mask_points(volume, saved(tmp_path, mask))
+    points = read_mask_points(saved(tmp_path, mask))
     line = trace_needle(volume, follow_points(volume, points, cases.RECIPE), cases.RECIPE)
     assert np.linalg.norm(line.tip - TRUTH[-1]) < 0.15
 
@@ -53,10 +53,10 @@ def test_a_mask_replaces_the_thresholds(volume, mask, tmp_path):
 @pytest.mark.parametrize("moved", [{"origin": (0.0, 0, 200.0)}, {"origin": (-4.0, -3.0, 0)}])
 def test_a_mask_from_another_place_or_an_empty_one_is_refused(moved, volume, mask, tmp_path):
     ((key, by),) = moved.items()
-    points = read_mask_points(volume, saved(tmp_path, replace(mask, **{key: getattr(mask, key) + by})))
+    points = read_mask_points(saved(tmp_path, replace(mask, **{key: getattr(mask, key) + by})))
     assert refusal(DataError, "", follow_points, volume, points, cases.RECIPE).fix
     empty = saved(tmp_path, replace(mask, values=np.zeros_like(mask.values)))
-    assert str(empty) in str(refusal(DataError, "0 voxels", read_mask_points, volume, empty))
+    assert str(empty) in str(refusal(DataError, "0 voxels", read_mask_points, empty))
 
 
 # ---- which tube of a scan is the needle, and what is cut off it

@@ -517,7 +517,7 @@ def examine(
         points = moved.axis
         if points is None and scan.mask is not None:
             listed = is_list_of_points(scan.mask)
-            points = read_markers(scan.mask) if listed else read_mask_points(volume, scan.mask)
+            points = read_markers(scan.mask) if listed else read_mask_points(scan.mask)
         if points is None:
             found.selection = select_needle(volume, recipe, scan.needle_at, search.tubes)
         else:

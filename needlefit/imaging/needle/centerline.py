@@ -97,7 +97,7 @@ def trace_needle(
             )
     else:
         base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
-        axis = axis if last <= base else _reverse_axis(axis, recipe)
+        axis = axis if last <= base else _reverse_axis(axis)
         axis = refine_axis(volume, axis, recipe, heel, _project_tip(axis, tip)[0])
         if (placed := place_in_slices(volume, axis, recipe, _project_tip(axis, tip)[0], spread)) is not None:
             axis = placed[0]
@@ -248,10 +248,10 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
             ),
             where=f"ends at L, P, S = {where} mm",
         )
-    return axis if forward else _reverse_axis(axis, recipe)
+    return axis if forward else _reverse_axis(axis)
 
 
-def _reverse_axis(axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
+def _reverse_axis(axis: AxisSpline) -> AxisSpline:
     """Return the rough axis from its other end."""
     s = axis.length - axis.s[::-1]
     return fit_axis(s, axis.points[::-1], axis.weights[::-1], 2 * MM.KNOT)

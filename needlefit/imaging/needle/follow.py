@@ -31,7 +31,7 @@ MIN_POINTS = 3  # fewer do not show which way a needle bends
 STEP_MM = 2 * MM.STATION
 
 
-def read_mask_points(volume: Volume, path: Path) -> Floats:
+def read_mask_points(path: Path) -> Floats:
     """Return points (N, 3), LPS, mm, along the needle that a mask marks: what is above 0 in a volume.
 
     The mask is an image file, or a .zip of one; it may stand on other voxels than the scan's.

@@ -196,11 +196,6 @@ def is_tube(part: Component, recipe: ReconstructionRecord, share: float = 1.0) -
     )
 
 
-def fit_parabola(along: Floats, across: Floats) -> Floats:
-    """Return the coefficients (3, d) of the least-squares parabola across(along), highest power first."""
-    return np.polyfit(along, across, min(2, len(np.unique(along.round(6))) - 1))
-
-
 def principal_axes(points: Floats) -> tuple[Floats, Floats]:
     """Return the centre (3,) of `points` (N, 3) and their principal axes, rows (3, 3), longest first."""
     center = points.mean(axis=0)
@@ -215,8 +210,8 @@ def measure_component(volume: Volume, voxels: Ints) -> Component:
     local = (points - center) @ axes.T
     voxel = float(np.prod(volume.spacing))
     length = float(np.ptp(local[:, 0])) + voxel ** (1 / 3)
-    curve = fit_parabola(local[:, 0], local[:, 1:])
-    off = local[:, 1:] - np.stack([np.polyval(c, local[:, 0]) for c in curve.T], axis=1)
+    powers = np.vander(local[:, 0], 3)
+    off = local[:, 1:] - powers @ np.linalg.lstsq(powers, local[:, 1:])[0]  # from the parabola
     bend = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
     width = float(np.sqrt(4 * len(voxels) * voxel / (np.pi * length)))
     values = volume.values[tuple(voxels.T[::-1])].astype(np.float64)

@@ -1,6 +1,5 @@
 """The report of a batch of reconstructed scans, written into the folder of their dataset."""
 
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +20,6 @@ from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import write_scan_table
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.project.folders import replace_folder
-from needlefit.project.help_pages import read_terms
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.reporting.figures import Drawing, Panel
@@ -236,17 +234,11 @@ def describe_batch(run: Run) -> dict[str, Any]:
         "scans": len(rows),
         "passed": {name: parts for name, parts in passed.items() if parts},
         "remarked": len({row["id"] for row in remarks}),
-        "remarks": [{**row, "term": find_term(row["note"])} for row in remarks],
+        "remarks": remarks,
         "poor": [row for row in poor if row["sd_mm"] > POOR_DEPTH_SD_MM],
         "named": MAX_NAMED_SCANS,
         "origin_mark": run.origin_mark,
     }
-
-
-def find_term(note: str) -> str:
-    """Return the longest term of the glossary in a warning, as `needlefit explain` takes it, or ""."""
-    terms = (topic.key for topic in read_terms() if re.search(rf"\b{re.escape(topic.key)}\b", note))
-    return max(terms, key=len, default="").replace(" ", "-")
 
 
 def lay_out_reconstructions(run: Run) -> TableLayout:
