@@ -92,16 +92,12 @@ def estimate_tolerance(
     bounds = problem.lower - theta, problem.upper - theta
     by_noise = by_insertions = math.nan
     whole, sizes = _concatenate(parts), [len(part.weights) for part in parts]
-
-    def find_excess(off: Floats, times: Floats) -> float:
-        """Return the excess with other differences, of insertions that are there so many times."""
-        weights = np.repeat(times / len(parts), sizes) * whole.weights
-        return _find_excess(WeightedDistances(weights, off, whole.slopes), *bounds)
-
     drawn = [replicate for replicate in replicates if replicate is not None]
     if len(drawn) == len(parts):
-        once = np.ones(len(parts))
-        excesses = [find_excess(np.concatenate(off), once) for off in zip(*drawn, strict=True)]
+        mean = replace(whole, weights=whole.weights * (1 / len(parts)))
+        excesses = [
+            _find_excess(replace(mean, off=np.concatenate(off)), *bounds) for off in zip(*drawn, strict=True)
+        ]
         by_noise = float(np.quantile(excesses, PROBABILITY))
     _, group = np.unique(group_insertions(problem.dataset, problem.insertions), return_inverse=True)
     count = int(group.max()) + 1
@@ -109,7 +105,8 @@ def estimate_tolerance(
         counts = rng.multinomial(count, np.full(count, 1 / count), size=REPLICATES)  # (B, G)
         times = counts[:, group]  # (B, insertions) how often each is drawn
         repeats = times * (len(group) / times.sum(axis=1, keepdims=True))
-        excesses = [find_excess(whole.off, row) for row in repeats]
+        weights = (np.repeat(row / len(parts), sizes) * whole.weights for row in repeats)
+        excesses = [_find_excess(replace(whole, weights=row), *bounds) for row in weights]
         by_insertions = float(np.quantile(excesses, PROBABILITY))
     smallest = find_search_tolerance(problem.objective(theta))
     return ErrorTolerance(by_noise, by_insertions, smallest)

@@ -164,9 +164,9 @@ class PosteriorDensity:
         for members, group in self._nodes.groups:
             white = [pairs[k][0] for k in members]
             # residuals are white / scale: d/d(ln scale) is minus the residual
-            by = [pairs[k][1] - pairs[k][0][..., None] * self._by_scale for k in members]
+            by = [pairs[k][1] - pairs[k][0][..., None] * self._by(NOISE_SCALE) for k in members]
             part, more, part_slopes, more_slopes = linearize_residuals(
-                white, by, group, scales, self._by_spread
+                white, by, group, scales, self._by(BEVEL_SPREAD)
             )
             log_det, by_det = log_det + more, by_det + more_slopes
             parts.append(part)
@@ -176,7 +176,7 @@ class PosteriorDensity:
         for b, values in enumerate(sets):
             normal = self._normal(values, float(log_det[b]))
             # derivative of normal^2 / 2; divided by normal below, since d(normal) = d(normal^2 / 2) / normal
-            by_normal = 0.5 * by_det[b] + self._rows * self._by_scale
+            by_normal = 0.5 * by_det[b] + self._rows * self._by(NOISE_SCALE)
             by_prior = self.parameters.prior.slopes(self.parameters.free, values)
             residuals = np.concatenate([whole[b], normal, of_prior[b]])
             linearized.append(
@@ -238,15 +238,9 @@ class PosteriorDensity:
     def _rows(self) -> int:
         return sum(observation.rows for observation in self.observations)
 
-    @property
-    def _by_scale(self) -> Floats:
-        """Derivatives (P,) of the logarithm of the scale."""
-        return np.array([float(name == NOISE_SCALE) for name in self.parameters.free])
-
-    @property
-    def _by_spread(self) -> Floats:
-        """Derivatives (P,) of the logarithm of the bevel's spread."""
-        return np.array([float(name == BEVEL_SPREAD) for name in self.parameters.free])
+    def _by(self, parameter: str) -> Floats:
+        """Return the derivatives (P,) of the logarithm of a parameter."""
+        return np.array([float(name == parameter) for name in self.parameters.free])
 
     def _scales(self, sets: Sequence[Values]) -> tuple[Floats, Floats]:
         """Return the scales of the noise and the bevel's spreads, (B,) each."""

@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from numbers import Number
 from pathlib import Path
 from typing import Any
 
@@ -126,11 +127,10 @@ def _unify_types(frame: pd.DataFrame, names: list[str]) -> dict[str, "pd.Series"
     mixed = [name for name in names if frame[name].dtype == object]
     kinds = {name: {type(value) for value in frame[name].dropna()} for name in mixed}
     flags = (bool, np.bool_)
-    numbers = (*flags, int, float, np.floating, np.integer)
     return {
         name: frame[name].astype(float).reset_index(drop=True)
         for name, types in kinds.items()
-        if all(issubclass(kind, numbers) for kind in types)
+        if all(issubclass(kind, (Number, np.bool_)) for kind in types)
         and not all(issubclass(kind, flags) for kind in types)
     }
 

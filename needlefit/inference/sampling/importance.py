@@ -216,11 +216,7 @@ class Proposal:
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Return `count` draws (N, P); those of the mixture may lie outside the bounds."""
-        drawn = np.empty((count, len(self.uniform)))
-        drawn[:, ~self.uniform] = self.mixture.draw(count, rng)
-        ends = self.lower[self.uniform], self.upper[self.uniform]
-        drawn[:, self.uniform] = rng.uniform(*ends, size=(count, len(ends[0])))
-        return drawn
+        return self._add_uniform(self.mixture.draw(count, rng), rng)
 
     def draw_inside(self, count: int, rng: np.random.Generator) -> tuple[Floats, float]:
         """Return `count` draws (N, P) within the bounds, and the logarithm of how many tries that took.
@@ -238,11 +234,16 @@ class Proposal:
             tries += len(drawn) if missing else int(inside[-1]) + 1
             if not missing:
                 break
-        drawn_inside = np.empty((count - missing, len(self.uniform)))
-        drawn_inside[:, ~self.uniform] = np.concatenate(kept)
+        width = (self.upper - self.lower)[self.uniform]
+        return self._add_uniform(np.concatenate(kept), rng), math.log(tries) - float(np.sum(np.log(width)))
+
+    def _add_uniform(self, mixed: Floats, rng: np.random.Generator) -> Floats:
+        """Return draws (N, P) of all parameters, given those of the mixture."""
+        drawn = np.empty((len(mixed), len(self.uniform)))
+        drawn[:, ~self.uniform] = mixed
         ends = self.lower[self.uniform], self.upper[self.uniform]
-        drawn_inside[:, self.uniform] = rng.uniform(*ends, size=(len(drawn_inside), len(ends[0])))
-        return drawn_inside, math.log(tries) - float(np.sum(np.log(ends[1] - ends[0])))
+        drawn[:, self.uniform] = rng.uniform(*ends, size=(len(mixed), len(ends[0])))
+        return drawn
 
     def log_density(self, thetas: Floats) -> Floats:
         """Return the log density (N,) at points (N, P) within the bounds, but for a constant."""
