@@ -114,7 +114,7 @@ def text(tmp_path_factory):
 def compose(text, name="gel"):
     values = {"name": name, "error_mm": 0.123}
     errors = text.lay_out(Table("errors", [{"insertion": "a"}], ("insertion",)), values)
-    return text.compose("report", values, [errors])
+    return text.compose(values, [errors])
 
 
 def test_a_value_is_printed_literally_wherever_it_stands(text):

@@ -253,7 +253,7 @@ def _draw_shapes(axes: Axes, dataset: Dataset, side: str) -> None:
         xlabel="x, along the entry direction (mm)",
         ylabel=f"y{toward} (mm)",
     )
-    draw_grid(axes, "y")
+    draw_grid(axes)
 
 
 def _label_tips(axes: Axes, ones: Sequence[Insertion]) -> None:

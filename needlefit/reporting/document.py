@@ -291,7 +291,7 @@ def _compose_page(data: PageData | None) -> dict[str, Any]:
         parts |= {
             "script": needle_page.read_package_file(needle_page.SCRIPT),
             "stage": needle_page.read_package_file(needle_page.STAGE),
-            "style": needle_page.read_style("#explorer"),
+            "style": needle_page.read_style(),
             "kernel": needle_page.read_kernel(),
             "data": data.pack(),
         }

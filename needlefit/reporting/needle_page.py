@@ -58,13 +58,13 @@ def write_policy(scripts: Iterable[str]) -> str:
     )
 
 
-def read_style(within: str) -> str:
-    """Return the style of the part that computes, for a page with a style of its own: within an element.
+def read_style() -> str:
+    """Return the style of the part that computes, for a page with a style of its own: within `#explorer`.
 
     The colours, the first rule of the page's style, are those of the whole page.
     """
     colours, _, rest = "".join(map(read_package_file, STYLES)).partition("\n}\n")
-    return f"{colours}\n}}\n{within} {{{rest}}}\n{read_package_file(FILE_STYLE)}"
+    return f"{colours}\n}}\n#explorer {{{rest}}}\n{read_package_file(FILE_STYLE)}"
 
 
 def compose_file(title: str, note: str, data: "PageData") -> str:

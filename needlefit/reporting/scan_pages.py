@@ -212,7 +212,7 @@ def _paint_brightness(axes: Axes, reconstruction: Reconstruction) -> None:
         axes.axvspan(*ends, facecolor=colour, edgecolor="white", lw=0.6, alpha=0.6, zorder=0)
     axes.plot(_place_along(reconstruction, profile.s), profile.around, color=INK, lw=0.9)
     axes.set_ylabel("surroundings\n(HU)")
-    draw_grid(axes, "y")
+    draw_grid(axes)
 
 
 def _place_along(reconstruction: Reconstruction, s: Floats) -> Floats:
@@ -239,7 +239,7 @@ def _paint_deflection(axes: Axes, reconstruction: Reconstruction) -> None:
         loc="upper left", handlelength=1.3, fontsize=7, borderaxespad=0.2, reverse=True,
         frameon=True, facecolor="white", edgecolor="none", framealpha=1.0, borderpad=0.15,
     )  # fmt: skip
-    draw_grid(axes, "y")
+    draw_grid(axes)
 
 
 def _name_marks(axes: Axes, marks: Sequence[Mark], scale: float) -> None:

@@ -251,7 +251,7 @@ def compose_run_report(run: Run, figures: Mapping[str, Path]) -> Document:
     blocks = [
         *compose_first_page(page, first),
         document.page_break(),
-        *report.text.compose("report", values, tables, pictures),
+        *report.text.compose(values, tables, pictures),
         *compose_warnings(warning for warning in run.warnings if warning not in page.warnings),
         *_run_blocks(run),
     ]
@@ -393,7 +393,7 @@ def compose_overview(runs: Sequence[Run], tables: Sequence[TableLayout]) -> Docu
     questions = [
         f"{page.title.partition(':')[0]}: {page.question}" for page in pages.values() if page.question
     ]
-    body = COMBINED.compose("report", {"questions": questions}, tables, {}, blocks)
+    body = COMBINED.compose({"questions": questions}, tables, {}, blocks)
     data = "; ".join(dict.fromkeys(run.name if run.origin_mark else run.dataset_title for run in studies))
     return Document(
         "Validation studies",

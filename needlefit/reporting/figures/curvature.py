@@ -23,7 +23,7 @@ def draw(sensors: pd.DataFrame) -> Figure:
         axes.plot(s, middle, color=SERIES_COLOURS[0], lw=1.2)
         axes.plot(s, rows["measured"], "o", color=INK, ms=2.5)
         axes.set_title(f"{insertion}, {direction}" if direction != "y" else str(insertion), loc="left")
-        draw_grid(axes, "y")
+        draw_grid(axes)
     for axes in panels[-1]:
         axes.set_xlabel("from the entry (mm)")
     for axes in panels[:, 0]:

@@ -76,7 +76,7 @@ def curves(
             axes.fill_between(rows[x], low, high, color=lighten(look.colour, look.white), lw=0, zorder=1)
             axes.plot(rows[x], rows[panel.line], lw=look.width, zorder=3, color=look.colour)
         axes.set_ylabel(panel.label)
-        draw_grid(axes, "y")
+        draw_grid(axes)
         axes.axhline(0.0, color=INK, lw=0.5)
     grid[-1, 0].set_xlabel(x_label)
     above = GAP_IN

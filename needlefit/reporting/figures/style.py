@@ -218,10 +218,10 @@ def make_panels(count: int, height: float) -> tuple[Figure, Any]:
     return figure, panels
 
 
-def draw_grid(axes: Axes, axis: str) -> None:
-    """Draw faint lines behind the data, along one axis only."""
+def draw_grid(axes: Axes) -> None:
+    """Draw faint horizontal lines behind the data."""
     axes.set_axisbelow(True)
-    axes.grid(axis="y" if axis == "y" else "x", color=GREY, alpha=0.25, linewidth=0.4)
+    axes.grid(axis="y", color=GREY, alpha=0.25, linewidth=0.4)
 
 
 MM_PER_INCH = 25.4

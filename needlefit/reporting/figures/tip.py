@@ -22,7 +22,7 @@ def draw(tips: pd.DataFrame) -> Figure:
         axes.plot(depth, rows["measured_mm"], "o", color=INK, ms=2.5)
         axes.set_title(medium_name(str(medium)), loc="left")
         axes.set_xlabel("depth (mm)")
-        draw_grid(axes, "y")
+        draw_grid(axes)
     for axes in panels[:, 0]:
         axes.set_ylabel("tip deflection (mm)")
     return figure

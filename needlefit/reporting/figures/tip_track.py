@@ -44,7 +44,7 @@ def draw(readings: pd.DataFrame) -> Figure:
             tip.set_title(short.replace("_", " "), loc="left", fontsize=6)
             tip.tick_params(labelbottom=False, labelleft=k == 0)
             guide.tick_params(labelbottom=n == down - 1, labelleft=k == 0)
-            draw_grid(tip, "y")
+            draw_grid(tip)
             if k == 0:
                 tip.set_ylabel(f"{medium} (mm)")
                 guide.set_ylabel("guide\n(mm)")

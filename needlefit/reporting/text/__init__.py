@@ -155,17 +155,16 @@ class KindText:
 
     def compose(
         self,
-        block: str,
         values: Mapping[str, Any],
         tables: Iterable[TableLayout] = (),
         figures: Mapping[str, Block] | None = None,
         further: Mapping[str, list[Block]] | None = None,
     ) -> list[Block]:
-        """Return a block as blocks of a report, with all that it refers to; `further` are blocks by name."""
+        """Return the body of a report as blocks, with all that it refers to; `further` are blocks by name."""
         parts = {("table", table.name): [document.table(table)] for table in tables}
         parts |= {("block", name): blocks for name, blocks in (further or {}).items()}
         parts |= {("figure", name): [block] for name, block in (figures or {}).items()}
-        return list(_compose(_parser().parse(self.render(block, values)), parts))
+        return list(_compose(_parser().parse(self.render("report", values)), parts))
 
 
 @cache
