@@ -254,23 +254,6 @@ def test_needles_of_the_same_names_are_of_several_sheets_or_specimens(tmp_path):
     assert "needle" in prepared.mapping.assumed
 
 
-def test_a_text_of_names_and_values_holds_for_all_runs(tmp_path):
-    """Tips leave (10, 20, 30) mm along (0.6, 0.8, 0), 5 mm a reading, and bend by 2 mm along z."""
-    paths = [(10 + 3 * k, 20 + 4 * k, 30 + 0.02 * k * k) for k in range(1, 11)]
-    rows = [(f"r{n}", k, *point) for n in range(3) for k, point in enumerate(paths)]
-    tips = write_rows(tmp_path / "tips.csv", [["run", "time [s]", "x [mm]", "y [mm]", "z [mm]"], *rows])
-    setup = tmp_path / "setup.txt"
-    setup.write_text(
-        "entry point [cm]: 1, 2, 3\ninsertion direction: 0.6, 0.8, 0\n"
-        "layer boundary: 20 mm\nneedle 18G, length 170 mm\n"
-    )
-    prepared = prepare([tips, setup], holds="tracks")
-    assert [row.depth for row in prepared.plan.rows] == pytest.approx([50.0] * 3)
-    assert prepared.mapping.assumed.keys().isdisjoint({"pose", "entry_point", "boundaries"})
-    assert [curve.boundaries for curve in prepared.content.curves] == [(20.0,)] * 3
-    assert {curve.needle.length_mm for curve in prepared.content.curves} == {170.0}
-
-
 def test_a_point_list_that_names_the_other_needles_is_asked_about(tmp_path):
     for n, curve in enumerate(NEEDLES):
         write_markups(tmp_path / f"n{n}.mrk.json", f"n{n}", curve)
@@ -312,15 +295,6 @@ def test_a_needle_that_bends_along_what_was_not_measured_is_refused(tmp_path, po
     assert len(write([12, 12, 3], 0.1).rows) == 3
     assert len(write([3, 9, 3], 0).rows) == 3
     refusal(DataError, "n3", write, [12, 6, 3], 0)
-
-
-def test_columns_beside_a_depth_are_asked_about(tmp_path):
-    rows = [["depth [mm]", "A", "B"], *([x, 1e-3 * x**2, -1e-3 * x**2] for x in range(5, 45, 5))]
-    file = write_rows(tmp_path / "a.csv", rows)
-    fix = refusal(DataError, "deflection", prepare, [file]).fix
-    assert "--set deflection.column=A, or" in fix and "--set 'deflection.column=A|B'" in fix
-    curves, _ = curves_of([file], deflection__column="A|B")
-    assert [one.line[-1].tolist() for one in curves.values()] == [[40, 1.6, 0], [40, -1.6, 0]]
 
 
 @pytest.mark.parametrize(

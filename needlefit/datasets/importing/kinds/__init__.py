@@ -167,7 +167,7 @@ class ImportedCurve:
         return self.stated["depth"].to_number() if "depth" in self.stated else self.before + self.length
 
 
-Answers = dict[ImportedCurve, Stated]  # of each needle
+StatedValues = dict[ImportedCurve, Stated]  # of each needle
 Numbers = dict[ImportedCurve, float]
 
 
@@ -228,7 +228,9 @@ class CurveAnswers:
         self.settler, self.assumed = settler, settler.assumed
         self.settle, self.note = settler.settle, settler.note
 
-    def each(self, key: str, usual: str | None = None, reason: str = "", is_sure: bool = False) -> Answers:
+    def each(
+        self, key: str, usual: str | None = None, reason: str = "", is_sure: bool = False
+    ) -> StatedValues:
         """Return what holds of each needle: its own cell, else the value of all.
 
         A value that is stated beside cells of all needles of the import takes their place. DataError if

@@ -19,11 +19,11 @@ from needlefit.datasets.importing.draft_table import (
 )
 from needlefit.datasets.importing.kinds import (
     MIN_SAME_SIDE,
-    Answers,
     BendsOfSides,
     ImportedCurve,
     Placer,
     RowKind,
+    StatedValues,
     format_direction,
     list_names,
 )
@@ -97,7 +97,7 @@ class ShapePlacer(Placer):
 
     # ---- entry and pose
 
-    def settle_pose(self, without: str) -> Answers:
+    def settle_pose(self, without: str) -> StatedValues:
         """Return for each needle `free`, `shaft` or a direction; the hint is the one that fits them all.
 
         `without`: names of the other needles, which have no shape and need a direction.

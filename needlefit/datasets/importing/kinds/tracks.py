@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from needlefit.arrays import Floats
 from needlefit.datasets.importing.draft_table import MAX_FLAGS, Columns, Records, TableDraft, name_points
 from needlefit.datasets.importing.kinds import (
-    Answers,
     BendsOfSides,
     CurveAnswers,
     ImportedCurve,
     Placer,
     RowKind,
+    StatedValues,
     format_direction,
     list_names,
     snap_to_axis,
@@ -252,7 +252,7 @@ def measure_depths(asked: CurveAnswers) -> None:
     chord = np.sum([curve.chord for curve in asked.curves], axis=0)
     guess = format_direction(snap_to_axis(normalize(chord)))
     pose = asked.settle("pose", guess, "the direction in which the tips run")
-    axis, entries = normalize(pose.to_vector()), Answers()
+    axis, entries = normalize(pose.to_vector()), StatedValues()
     moved = {curve: np.ptp(curve.line @ axis) for curve in asked.curves if not len(curve.depths)}
     if still := ",".join(curve.name for curve, run in moved.items() if run < GUIDE_STILL_MM):
         raise DataError(
