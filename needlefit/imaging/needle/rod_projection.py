@@ -155,16 +155,17 @@ class Rod:
         mix = np.zeros((len(self.heights), len(self.planes)), dtype=np.float32)
         for k, row in enumerate(mix):
             row[k * self.in_slice : k * self.in_slice + len(profile)] = profile / profile.sum()
-        # an attenuation that is gamma distributed over the spectrum: the beam hardens
-        passed = np.log1p(metal.data * np.float32(attenuation * variance / linear))
+        # an attenuation that is gamma distributed over the spectrum: the beam hardens; `log` and `exp` of
+        # single precision are vectorised, `log1p` and `expm1` are not
+        passed = np.log(1 + metal.data * np.float32(attenuation * variance / linear))
         in_planes = csr_array(metal)
-        in_planes.data = -np.expm1(passed * np.float32(-1 / variance))
+        in_planes.data = 1 - np.exp(passed * np.float32(-1 / variance))
         stopped = np.ascontiguousarray((in_planes.T @ mix.T).T)
         rows = stopped.any(axis=1)
         stopped = stopped[rows]
         # a cell's aperture; views begin and end without metal
         stopped[:, 1:-1] = stopped[:, 1:-1] / 2 + (stopped[:, 2:] + stopped[:, :-2]) / 4
-        logs = -np.log1p(stopped * np.float32(-1 / (1 + scatter))).reshape(
+        logs = -np.log(1 - stopped * np.float32(1 / (1 + scatter))).reshape(
             len(stopped), len(self.views[0]), -1
         )
         frequencies, ramp = self._ramp
