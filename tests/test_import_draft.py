@@ -183,6 +183,9 @@ def test_tables_are_read_as_they_are_meant(tmp_path, case):
     if "last" in case:
         ends = [curve.line[-1] for curve in prepared.content.curves]
         np.testing.assert_allclose(ends, case["last"], atol=1e-3)
+    if "sensors" in case:
+        sensors = [np.array(curve.sensors)[:, :3] for curve in prepared.content.curves]
+        np.testing.assert_allclose(sensors, case["sensors"])
     if "moduli" in case:
         needles = [plan.needles.get(row.needle, plan.needle) for row in plan.rows]
         assert [one.youngs_modulus_gpa for one in needles] == case["moduli"]

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.layout import BLOCK
 from needlefit.datasets.importing.meanings import (
+    CURVATURE_AXES,
     MEANINGS,
     VECTORS,
     Answers,
@@ -29,7 +30,14 @@ from needlefit.project.locate import join_names
 
 NO_POINTS = (*VECTORS, "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
 OF_LAYERS = {"boundaries", "layers", "thickness"}  # meanings of columns that state something of layers
-SEVERAL = (*VECTORS, "boundaries", "thickness", "guide", "needle")  # meanings that may have several columns
+SEVERAL = (
+    *VECTORS,
+    *CURVATURE_AXES,
+    "boundaries",
+    "thickness",
+    "guide",
+    "needle",
+)  # meanings that may have several columns
 EXCLUDED = "excluded"  # the word of rows that are left out
 MAX_FLAGS = 4  # largest number of values of a column that may mark rows to be left out
 
@@ -42,6 +50,11 @@ class Column(Header):
     name: str | int = ""
     texts: Sequence[str] = ()  # of cells that are not blank
     numbers: Sequence[float] = ()  # of those that are numbers
+
+    @property
+    def is_curvature(self) -> bool:
+        """Whether its unit is that of a curvature."""
+        return self.unit.startswith("1/")
 
 
 Columns = dict[str, list[Column]]  # by meaning
@@ -77,7 +90,7 @@ class TableDraft:
         self.groups = self._group_axes()
         self._take_known()
         if (block := self.table.find(BLOCK)) is not None:
-            self._take("needle", [self.all[block]])
+            self.take("needle", [self.all[block]])
         if "fill_down" not in self.keys and (self.groups or self.taken.keys() & {"y", "deflection"}):
             self._fill_down()
 
@@ -98,7 +111,7 @@ class TableDraft:
             names = [name.strip() for name in parts.get("column", "").split("|") if name]
             places = [self._find_stated(name) for name in names]
             if places and None not in places:
-                self._take(meaning, [self.all[n] for n in places if n is not None])
+                self.take(meaning, [self.all[n] for n in places if n is not None])
                 self.draft.columns_read.add(meaning)
         self.draft.headers += filter(None, self.table.headers)
 
@@ -111,7 +124,7 @@ class TableDraft:
         alike = [n for n, header in enumerate(self.table.headers) if split_unit(header)[0].strip() == plain]
         return alike[0] if place is None and len(alike) == 1 else place
 
-    def _take(self, meaning: str, columns: Sequence[Column]) -> None:
+    def take(self, meaning: str, columns: Sequence[Column]) -> None:
         """Let columns mean something, if nothing else does."""
         if columns and meaning not in self.taken:
             is_one = meaning not in SEVERAL and "column" not in self.draft.columns.get(meaning, {})
@@ -160,7 +173,7 @@ class TableDraft:
         if EXCLUDED in proposed:
             self._ask_excluded(proposed.pop(EXCLUDED)[0])
         for meaning, columns in proposed.items():
-            self._take(meaning, columns)
+            self.take(meaning, columns)
 
     def _list_meanings(self, column: Column) -> list[str]:
         """Return what a column may mean, by its header and cells; an empty text: nothing here."""
@@ -202,7 +215,7 @@ class TableDraft:
         groups: dict[tuple[int, str], Columns] = {}
         for column in self.list_free():
             axis, group = column.axis, column.group
-            if axis and group not in NO_POINTS:
+            if axis and group not in NO_POINTS and not column.is_curvature:
                 turn = next(k for k in count() if axis not in groups.get((k, group), ()))
                 groups.setdefault((turn, group), {})[axis] = [column]
         with_x = [axes for axes in groups.values() if "x" in axes]
@@ -258,7 +271,7 @@ class TableDraft:
         values = sorted({row[column.place] for row in self.table.rows})
         flags = {value: find_meaning("flag", value) for value in values}
         if all(flags.values()) and EXCLUDED in flags.values():
-            self._take(EXCLUDED, [column])
+            self.take(EXCLUDED, [column])
             self.excluded = [value for value in values if flags[value] == EXCLUDED]
             self.draft.assumed[EXCLUDED] = (
                 f"rows whose {column.name} is {join_names(self.excluded, MAX_FLAGS)}"

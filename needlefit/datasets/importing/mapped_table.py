@@ -15,6 +15,7 @@ from needlefit.datasets.importing.meanings import (
     COORDINATES,
     MEANINGS,
     MISSING,
+    SENSOR_PLACES,
     VECTORS,
     find_meaning,
     list_factors,
@@ -101,6 +102,7 @@ class MappedTable(Table):
         cells = defaultdict[str, list[list[str]]](lambda: [[] for _ in self.rows])
         for meaning, record in self.record.columns.items():
             columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
+            values = value.split(";") if meaning in SENSOR_PLACES else [value]  # of several columns
             is_place = meaning in COORDINATES and self.has_points
             pattern = re.compile(record.pattern or "(.*)", re.DOTALL)
             cells[meaning] = [
@@ -108,7 +110,7 @@ class MappedTable(Table):
                     ""
                     if text in self.record.missing or (is_place and _is_missing(text))
                     else record.words.get(text, match[1] if (match := pattern.fullmatch(text)) else text)
-                    for text in [row[m] for m in columns] or [value]
+                    for text in [row[m] for m in columns] or values
                 ]
                 for row in self.rows
             ]

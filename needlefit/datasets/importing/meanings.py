@@ -56,6 +56,7 @@ QUESTIONS = MappingProxyType({key: QuestionText(**parts) for key, parts in _FILE
 #: what is stated of a needle
 ATTRIBUTES = ("depth", "thickness", *(key for key, meaning in VALUES.items() if not meaning.of_all))
 COORDINATES = ("x", "y", "z", "depth", "deflection", "deflection_z", "guide")  #: in the unit of points
+SENSOR_PLACES = ("sensor_from_base", "sensor")  #: meanings of the places of curvature sensors
 CURVATURE_AXES = ("curvature_y", "curvature_z")  #: whose greatest value is of both
 VECTORS = ("entry_point", "pose")  #: columns x, y, z that state something of each needle
 

@@ -1,16 +1,25 @@
-"""Curvatures: a row for each sensor in a needle."""
+"""Curvatures: a row for each sensor in a needle, or for each needle, with a column for each sensor."""
 
+import re
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
-from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
+from needlefit.datasets.importing.draft_table import Column, Columns, Records, TableDraft
 from needlefit.datasets.importing.kinds import ImportedCurve, RowKind
 from needlefit.datasets.importing.kinds.facts import read_stated
 from needlefit.datasets.importing.kinds.tips import TipPlacer
 from needlefit.datasets.importing.mapped_table import MappedTable
-from needlefit.datasets.importing.meanings import CURVATURE_AXES
+from needlefit.datasets.importing.meanings import CURVATURE_AXES, SENSOR_PLACES, read_quantity
 from needlefit.errors import DataError
+from needlefit.grouping import group_values
+from needlefit.project.units import UNITS_MM
+
+_PLACE = re.compile(r"\d+(?:[.,]\d+)?\s*(?:mm|cm)\b")  # of a sensor, in the header of its curvature
+_SIDEWAYS = re.compile(
+    r"(?<![a-z])x?z(?![a-z])", re.IGNORECASE
+)  # of a curvature toward z, or in the plane xz
 
 
 class CurvaturePlacer(TipPlacer):
@@ -41,16 +50,44 @@ def propose_curvatures(draft: TableDraft, is_stated: bool) -> dict[str, Columns]
         taken.setdefault("curvature_sd", taken.pop("point_sd"))
     if not is_stated and draft.points:
         return {}
-    inverse = [column for column in draft.list_free() if column.unit.startswith("1/")]
+    inverse = [column for column in draft.list_free() if column.is_curvature]
     if not (inverse or taken.keys() & {*CURVATURE_AXES} or is_stated):
         return {}
-    for key in ("sensor_from_base" if "sensor_from_base" in taken else "sensor", *CURVATURE_AXES):
-        if key not in taken and "value" not in draft.draft.columns.get(key, {}):
-            if key in CURVATURE_AXES:
-                draft.ask_column(key, inverse, {"0, in one plane": {f"{key}.value": "0"}})
-            else:
-                draft.ask_column(key, [column for column in draft.list_unknown() if column not in inverse])
+    is_asked = _take_wide(draft, inverse)
+    free = [column for column in draft.list_unknown() if not column.is_curvature]
+    if not (is_asked or {*SENSOR_PLACES} & {*taken, *draft.draft.columns}):
+        draft.ask_column("sensor", free)
+    for axis in CURVATURE_AXES:
+        if axis not in taken and "value" not in draft.draft.columns.get(axis, {}):
+            left = [column for column in inverse if column.place not in draft.used]
+            draft.ask_column(axis, left, {"0, in one plane": {f"{axis}.value": "0"}})
     return {"": {}}
+
+
+def _take_wide(draft: TableDraft, columns: Sequence[Column]) -> bool:
+    """Take a column of each sensor, of several; ask from where the places in their headers count.
+
+    Return whether that is asked.
+    """
+    if {*SENSOR_PLACES} & {*draft.taken}:
+        return False
+    is_stated = any("value" in draft.draft.columns.get(place, {}) for place in SENSOR_PLACES)
+    if len(columns) <= len(CURVATURE_AXES) and not is_stated:
+        return False
+    planes = group_values((CURVATURE_AXES[bool(_SIDEWAYS.search(column.text))], column) for column in columns)
+    places = {
+        tuple(place[0] if (place := _PLACE.search(column.text)) else "" for column in of_plane)
+        for of_plane in planes.values()
+    }
+    for axis, of_plane in planes.items():
+        draft.take(axis, of_plane)
+    quantities = [read_quantity(text) for text in next(iter(places), ())]
+    is_clear = len(places) == 1 and None not in quantities and not is_stated
+    if is_clear:
+        numbers = [f"{value * UNITS_MM[unit]:g}" for value, unit in filter(None, quantities)]
+        names = ", ".join(str(column.name) for column in columns)
+        draft.ask("sensors", names=names, places=";".join(numbers))
+    return is_clear
 
 
 def complete_curvatures(draft: TableDraft, records: Records) -> None:
@@ -67,9 +104,21 @@ def read_curvatures(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[in
     columns = mapped.record.columns
     meanings = ("sensor" if "sensor" in columns else "sensor_from_base", *CURVATURE_AXES)
     mapped.require(*meanings)
-    for n in rows:
+    counts = [len(mapped.cells[meaning][rows[0]]) for meaning in meanings]
+    if {*counts[1:]} - {1, counts[0]}:
+        raise DataError(
+            f"there are {counts[0]} places of sensors, and {max(counts[1:])} columns of curvatures",
+            expected="a place for each",
+            fix=mapped.name_edit(f"columns.{meanings[0]}.value", "10;30;50"),
+            where=mapped.where,
+        )
+    for n, k in product(rows, range(counts[0])):
         sd = mapped.read_number("curvature_sd", n) if "curvature_sd" in columns else np.nan
-        curve.sensors.append(np.array([*(mapped.read_number(meaning, n) for meaning in meanings), sd]))
+        numbers = [
+            mapped.read_number(meaning, n, min(k, count - 1))
+            for meaning, count in zip(meanings, counts, strict=True)
+        ]
+        curve.sensors.append(np.array([*numbers, sd]))
     curve.are_sensors_from_base |= "sensor_from_base" in columns
     read_stated(mapped, curve, rows)
 
