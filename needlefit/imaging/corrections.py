@@ -155,8 +155,8 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
                     f"the scan `{id_}`: {problem}",
                     expected="one list for each scan, with points that were moved or removed",
                     fix="name that scan, too (of one needle of several the scans.csv of their dataset); move "
-                    "what is wrong in 3D Slicer, and save the list again; a right entry is confirmed "
-                    "by --confirm entry=1; of places that are stated elsewhere state one",
+                    "what is wrong in 3D Slicer, and save the list again (--confirm entry=1 confirms the "
+                    "entry as it is); moved balls need --markers, a moved entry no stage",
                     where=path,
                 )
             assert scan is not None

@@ -211,7 +211,7 @@ class Volume:
         return list_bright_voxels(self.values, self.tissue + min(PART.THRESHOLDS) * HU.CLIPPED)
 
     def list_bright(self, level: float) -> BrightVoxels:
-        """Return the voxels above a level, HU, and others where those were listed before."""
+        """Return the voxels above a level, HU; less bright ones, too, where the volume has listed them."""
         return self._bright if self._bright.level <= level else list_bright_voxels(self.values, level)
 
     @cached_property

@@ -91,8 +91,7 @@ def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
     largest, width = parts[0], PART.WIDENING * recipe.needle.diameter_mm
     raise DataError(
         f"no needle was found; the longest bright object is {largest.length:.1f} mm "
-        f"long, {largest.width:.1f} mm wide, {largest.bend:.1f} mm (RMS) off a "
-        "parabola",
+        f"long, {largest.width:.1f} mm wide, {largest.bend:.1f} mm (RMS) off a parabola",
         expected=f"{MM.NEEDLE_LENGTH:g} mm or longer, at most {width:.1f} mm wide, {width / 2:.1f} mm off",
         fix=(
             "give a scan with more of the needle and its tip; or set needle.diameter_mm in "
