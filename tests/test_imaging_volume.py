@@ -45,11 +45,12 @@ def nrrd(path, values=VALUES, data=None, **fields):
     return path
 
 
-def nifti(path, values=VALUES, affine=PLAIN, codes=(0, 1), **entries):
+def nifti(path, values=VALUES, affine=PLAIN, codes=(0, 1), unit="mm", **entries):
     """Write a NIfTI-1 file whose affine leads to RAS; `entries` replace those of the header."""
     image = nibabel.Nifti1Image(values.T, affine)
     image.set_qform(affine, codes[0])
     image.set_sform(affine, codes[1])
+    image.header.set_xyzt_units(unit)
     for name, value in ({"vox_offset": 352} | entries).items():
         image.header[name] = value
     with gzip.open(path, "wb") if path.suffix == ".gz" else path.open("wb") as file:
@@ -142,6 +143,7 @@ def test_nifti_is_ras_and_metaimage_lps(tmp_path):
     turned = PLAIN * [[-1, -1, 1, 1], [1, -1, 1, 1], [1, 1, -1, 1], [1, 1, 1, 1]]
     volume = read_volume(nifti(tmp_path / "a.nii", affine=turned, codes=(1, 0)))
     check_plain(volume, (1, 1, -1), (-1.0, -2.0, 3.0))
+    assert "micron" in refused(nifti(tmp_path / "a.nii", unit="micron")).what
 
 
 def test_a_file_whose_space_is_not_stated(tmp_path):

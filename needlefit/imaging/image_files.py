@@ -80,6 +80,8 @@ def _open_nifti(file: Path) -> Image:
             expected="a NIfTI header with a qform or an sform",
             fix="convert the scan from its DICOM series again",
         )
+    if (unit := header.get_xyzt_units()[0]) not in ("mm", "unknown"):
+        raise DataError(f"its lengths are in {unit}", expected="lengths in mm", fix="save it in mm, as NRRD")
     affine = RAS_TO_LPS.rotation @ image.affine[:3]
     columns, rows, slices = shape
     spacing = np.linalg.norm(affine[:, :3], axis=0)
