@@ -14,7 +14,6 @@ to nothing at a minimum.
 from contextlib import suppress
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares, lsq_linear
 
 from needlefit.arrays import Floats
@@ -29,6 +28,7 @@ NEAR_TOLERANCE = 1e-2  #: relative change of the sum of squares by a step under 
 MAX_FAILED_STEPS = 3  #: Newton's steps in a row from which the sum of squares rises: there its method is left
 #: cosine between a step and the change of the gradient below which that gives no curvature along the step
 MIN_COSINE = 1e-6
+MAX_SIDES = 8  #: rounds in which it is sought which parameters lie at their bounds
 VALUE_ROUNDING = 1e-9  #: rise of the sum of squares, as a part of it, that may be rounding of the simulation
 
 
@@ -101,16 +101,28 @@ def _run_newton(
 
 
 def find_step(slope: Floats, curvature: Floats, low: Floats, high: Floats) -> Floats | None:
-    """Return the step (P,) to the minimum of a quadratic function between two bounds; None if it has none."""
+    """Return the step (P,) to the minimum of a quadratic function between two bounds; None if it has none.
+
+    Which parameters lie at their bounds is sought as by M. Hintermueller, K. Ito and K. Kunisch
+    (https://doi.org/10.1137/S1052623401383558), in two or three rounds; where it goes around in a circle, by
+    SciPy's slower method.
+    """
     try:
-        factor = cholesky(curvature, lower=True)
+        factor = np.linalg.cholesky(curvature)
     except np.linalg.LinAlgError:
         return None
-    target = -solve_triangular(factor, slope, lower=True)
-    step: Floats = solve_triangular(factor.T, target, lower=False)
-    if np.all((step >= low) & (step <= high)):
-        return step
-    return lsq_linear(factor.T, target, (np.minimum(low, 0), np.maximum(high, 0)), method="bvls").x
+    low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+    side = np.zeros(len(slope))  # -1 and 1: at the lower and at the upper bound
+    for _ in range(MAX_SIDES):
+        step = np.where(side < 0, low, np.where(side > 0, high, 0.0))
+        free = side == 0
+        step[free] = np.linalg.solve(curvature[np.ix_(free, free)], -(slope + curvature @ step)[free])
+        force = -(slope + curvature @ step) * (side != 0)  # along which the function falls
+        changed = np.where(free, 1.0 * (step > high) - (step < low), side * (side * force > 0))
+        if np.array_equal(changed, side):
+            return step
+        side = changed
+    return lsq_linear(factor.T, np.linalg.solve(factor, -slope), (low, high), method="bvls").x
 
 
 def _update_curvature(curvature: Floats, step: Floats, change: Floats, whole: Floats) -> Floats:
