@@ -35,7 +35,7 @@ from needlefit.studies import scored_groups as scores
 from needlefit.studies.identification import FROM_PRIOR, ParameterRow, describe_prior
 from needlefit.studies.judge import MAX_NOISE_RATIO, REFERENCES, judge
 from needlefit.studies.prediction_scores import COVERAGE_COLUMNS, tabulate_coverage
-from needlefit.studies.run import NEW_SPECIMEN, TUNED_SPECIMENS, FitFrames, Run
+from needlefit.studies.run import NEW_SPECIMEN, TUNED_SPECIMENS, FitFrames, Run, value_of_run
 
 #: the sentences of fits and cross-validations
 TEXT = KindText("cross_validation")
@@ -75,6 +75,7 @@ def lay_out_errors(name: str, *runs: Run) -> TableLayout:
     return _lay_out_groups(name, blocks, heads, medians=_count_medians(runs))
 
 
+@value_of_run
 def lay_out_summary(run: Run) -> TableLayout:
     """Return the errors of the first page: ours, those of the compared curves, of the paper.
 
