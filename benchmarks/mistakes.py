@@ -458,7 +458,7 @@ def doubt(folder):
         with contextlib.chdir(file.parent):
             job = load_study(file.stem, load(file, StudyRecord), Settings(file=file))
         doubts = find_odd_needles(job)
-        found += warn_of_doubts(doubts._replace(odd=(), deviating=None))
+        found += warn_of_doubts(doubts._replace(odd_needles=(), deviating=None))
         named += [(one.insertion, one.cause) for one in doubts.odd_needles]
         shifted += [one for one in (doubts.common_doubt,) if one is not None and one.stated is not None]
     return found, named, shifted
