@@ -77,13 +77,14 @@ class ShapePlacer(Placer):
     def settle_entry(self) -> None:
         """Put the entry first."""
         chords = np.array([curve.chord for curve in self.curves])
-        against = [self.curves[n] for n in np.flatnonzero(chords @ chords.sum(axis=0) < 0)]
+        chord = chords.sum(axis=0)
+        against = [self.curves[n] for n in np.flatnonzero(chords @ chord < 0)]
         reason, fix = "the order of the file", ""
         if against:
             reason = f"{list_names(against)} runs against the others"
             fix = f"{advise_order(against)}; or, if needles enter from two sides, state "
             fix += f"{name_set('entry', 'first')}, and {name_set('pose', 'free')}"
-        along = to_unit(chords.sum(axis=0)) if chords.sum(axis=0).any() else np.zeros(3)
+        along = to_unit(chord)
         first, last = (float(np.ptp([curve.line[end] @ along for curve in self.curves])) for end in (0, -1))
         is_open = not against and self.stated("pose") in ("", "free") and first > last + MIN_CUT_MM
         if is_open:
