@@ -17,9 +17,8 @@ from needlefit.grouping import group_values
 from needlefit.project.units import UNITS_MM
 
 _PLACE = re.compile(r"\d+(?:[.,]\d+)?\s*(?:mm|cm)\b")  # of a sensor, in the header of its curvature
-_SIDEWAYS = re.compile(
-    r"(?<![a-z])x?z(?![a-z])", re.IGNORECASE
-)  # of a curvature toward z, or in the plane xz
+# In the header of a curvature toward z, or in the plane xz.
+_SIDEWAYS = re.compile(r"(?<![a-z])x?z(?![a-z])", re.IGNORECASE)
 
 
 class CurvaturePlacer(TipPlacer):
@@ -105,7 +104,7 @@ def read_curvatures(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[in
     meanings = ("sensor" if "sensor" in columns else "sensor_from_base", *CURVATURE_AXES)
     mapped.require(*meanings)
     counts = [len(mapped.cells[meaning][rows[0]]) for meaning in meanings]
-    if {*counts[1:]} - {1, counts[0]}:
+    if max(counts[1:]) != counts[0] or {*counts[1:]} - {1, counts[0]}:
         raise DataError(
             f"there are {counts[0]} places of sensors, and {max(counts[1:])} columns of curvatures",
             expected="a place for each",
