@@ -380,9 +380,15 @@ def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path):
         write_rows(file, [["x", "y", "z"], *NEEDLES[n].tolist()])
     names = [f"block_{n}_45mm_needle" for n in (1, 2, 3)]
     assert_read([*files, files[0].parent], names=names)
+    assert_read([tmp_path], names=names)
     content = prepare(files).content
     assert [*content.files] == [f"block {n}/45mm/needle.csv" for n in (1, 2, 3)]
-    assert str(tmp_path / "block 1") in refusal(DataError, "", prepare, [tmp_path]).fix
+    (tmp_path / "block 1" / "50mm").mkdir()
+    write_rows(tmp_path / "block 1" / "50mm" / "needle.csv", [["x", "y", "z"], *NEEDLES[0].tolist()])
+    assert "specimen.pattern=(.+?)/.*" in refusal(DataError, "", prepare, [tmp_path]).fix
+    of_blocks = prepare([tmp_path], specimen__source="file", specimen__pattern="(.+?)/.*")
+    texts = [curve.stated["specimen"].text for curve in of_blocks.content.curves]
+    assert texts == ["block 1", "block 1", "block 2", "block 3"]
     (tmp_path / "vtk").mkdir()
     (tmp_path / "vtk" / "needle.vtk").write_text("# vtk")
     assert "ParaView" in refusal(DataError, "", prepare, [tmp_path / "vtk"]).fix

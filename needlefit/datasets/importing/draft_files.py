@@ -4,7 +4,6 @@ It reads no needle: a person sees what is proposed, and `read` goes by that.
 """
 
 import re
-import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import permutations
@@ -174,21 +173,14 @@ def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
         readable = [entry for entry in named if entry.name.lower().endswith(suffixes)]
         draft.unused += [(f"folder {Path(name).name}", "it is not searched: name it") for name in folders]
         draft.unused += [(f"file {entry.name}", "its name") for entry in named if entry not in readable]
-        if folders and not named:
-            raise DataError(
-                "holds folders alone, which are not searched",
-                expected="files of needles",
-                fix=f"name the folders of the files: needlefit import {shlex.join(folders[:3])}",
-                where=path,
-            )
         yield from readable or named[:1]  # which states why it is not read
 
 
 def list_entries(folder: Path) -> list[Path]:
-    """Return what a folder holds; of folders alone, one for each specimen, what they hold."""
+    """Return what a folder holds; of folders alone, as of specimens and needles, what they hold."""
     entries = sorted(folder.iterdir())
     are_folders = all(entry.is_dir() for entry in entries)
-    return sorted(file for entry in entries for file in entry.iterdir()) if are_folders else entries
+    return sorted(file for entry in entries for file in list_entries(entry)) if are_folders else entries
 
 
 def _ask_sources(draft: Draft) -> None:
@@ -230,6 +222,11 @@ def _ask_specimens(draft: Draft, files: Sequence[Path]) -> None:
     if draft.opens or any("specimen" in table["columns"] for table in draft.tables):
         return
     folders = dict.fromkeys(path.absolute().parent.name for path in paths)
+    parts = [draft.names[path].split("/") for path in paths]
+    if 1 < len(outer := dict.fromkeys(first for first, *rest in parts if len(rest) > 1)) < len(paths):
+        listed = join_names([*outer], MAX_NAMED_SPECIMENS)  # each holds a folder for each needle
+        draft.ask("named_specimens", "", word="folder", pattern="(.+?)/.*", names=listed)
+        return
     if len(folders) > 1:
         draft.ask("specimens", "", names=join_names([*folders], MAX_NAMED_SPECIMENS))
         return

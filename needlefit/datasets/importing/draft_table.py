@@ -197,10 +197,15 @@ class TableDraft:
         rows, candidates = self.table.rows, proposed["needle"]
         repeated = [column for column in candidates if len({*column.texts}) < len(column.texts)]
         chosen = [*(repeated or candidates)[:1]]
-        for column in (*repeated[1:], *proposed.get("specimen", [])[:1]):
+        specimens = self.taken.get("specimen") or [
+            column for column in self.all if "specimen" in column.meaning.split("|")
+        ]
+        has_points = self.groups or {"y", "deflection"} & (self.taken.keys() | proposed.keys())
+        most = len(rows) / 2 if has_points else len(rows)  # needles: a row of a needle states facts of it
+        for column in (*repeated[1:], *specimens[:1]):
             counts = [len({tuple(row[part.place] for part in (*chosen, *more)) for row in rows})
                       for more in ((), (column,))]  # fmt: skip
-            chosen += [column] if counts[0] < counts[1] <= len(rows) / 2 else []
+            chosen += [column] if counts[0] < counts[1] <= most else []
         if len(chosen) > 1:
             self.draft.assumed["needle"] = f"{join_columns(chosen)}: together they name the needles"
         return chosen
@@ -320,7 +325,8 @@ class TableDraft:
         key = "deflection" if self.are_deflections else "y"
         if self.taken.keys() >= {"arc", "tangent"}:
             return {"": {}}
-        if key == "y" and not self.taken.keys() >= {"x", "y"}:
+        values = {meaning for meaning, parts in self.draft.columns.items() if "value" in parts}
+        if key == "y" and not self.taken.keys() | values >= {"x", "y"}:
             return self.groups
         columns = self.taken[key]
         others = [column for column in self.list_free() if column.meaning == "deflection"]

@@ -102,8 +102,9 @@ class MappedTable(Table):
         cells = defaultdict[str, list[list[str]]](lambda: [[] for _ in self.rows])
         for meaning, record in self.record.columns.items():
             columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
-            values = value.split(";") if meaning in SENSOR_PLACES else [value]  # of several columns
             is_place = meaning in COORDINATES and self.has_points
+            are_several = meaning in SENSOR_PLACES or (is_place and self.record.layout == "wide")
+            values = value.split(";") if are_several else [value]  # of several columns
             pattern = re.compile(record.pattern or "(.*)", re.DOTALL)
             cells[meaning] = [
                 [
@@ -185,8 +186,9 @@ class MappedTable(Table):
             ):
                 continue
             first, text = next(iter(texts.items()))
-            if differ and meaning in ("boundaries", "thickness") and self.record.of == "all":
-                text = "; ".join(texts.values())  # a row for each layer
+            if differ and meaning in ("boundaries", "thickness") and self.record.holds == "facts":
+                depths = [text for text in texts.values() if self.number(text) != 0]  # of the surface
+                text = "; ".join(depths)  # a row for each layer
             elif differ:
                 other = next(n for n in texts if texts[n] != text)
                 needles = self.name_edit("columns.needle.column")

@@ -111,12 +111,14 @@ class Table:
 
 
 def name_files(paths: Sequence[Path]) -> dict[Path, str]:
-    """Return what each of different files is called: its name, after as many folders as others share it."""
+    """Return what each of different files is called: its name, after folders of those that share theirs."""
     names, count = {path: path.name for path in paths}, 1
     while alike := {name for name, number in Counter(names.values()).items() if number > 1}:
         count += 1
         names |= {
-            path: "/".join(path.absolute().parts[-count:]) for path, name in names.items() if name in alike
+            path: "/".join(path.absolute().parts[-count:])
+            for path, name in names.items()
+            if "/" in name or name in alike
         }
     return names
 

@@ -6,10 +6,13 @@ from needlefit.datasets.importing.draft_table import OF_LAYERS, Columns, TableDr
 from needlefit.datasets.importing.kinds import ImportedCurve, RowKind
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.meanings import ATTRIBUTES
+from needlefit.grouping import group_values
 
 
 def propose_facts(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     """Return no columns but those of all, where a table without points states something of needles."""
+    if OF_LAYERS & draft.taken.keys() and not _is_of_each(draft, "medium"):  # the tissue of each layer
+        draft.used -= {column.place for column in draft.taken.pop("medium")}
     stated, keys = draft.taken.keys() & {*ATTRIBUTES}, draft.keys
     if "needle" in draft.taken and stated:
         keys["of"] = "needle"
@@ -20,6 +23,17 @@ def propose_facts(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
     else:
         return {}
     return {"": {}}
+
+
+def _is_of_each(draft: TableDraft, meaning: str) -> bool:
+    """Whether the rows of a needle, a specimen or all, have one text of a meaning, or none."""
+    named = draft.taken.get("needle") or draft.taken.get("specimen") or []
+    texts = group_values(
+        (tuple(row[column.place] for column in named), row[column.place])
+        for column in draft.taken.get(meaning, ())
+        for row in draft.table.rows
+    )
+    return all(len({*values}) == 1 for values in texts.values())
 
 
 def read_stated(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:
