@@ -13,7 +13,7 @@ from pytest import approx
 from refusals import refused_file
 from synthetic.design import make_cylinder
 
-from needlefit.geometry.crossings import find_crossings, measure_enclosed_length
+from needlefit.geometry.crossings import find_crossings, find_path_crossings, measure_enclosed_length
 from needlefit.geometry.meshes import extract_solid
 from needlefit.geometry.surfaces import Surface, find_mesh_faults, make_sheet, read_surface
 
@@ -80,6 +80,23 @@ def test_sheets_lead_inward_and_a_solid_wins():
     assert met.arc == approx([10, 25, 35], abs=0.02)
     below = find_crossings(line((0, 0, 21), (0, 0, 40)), [core, deep, TOP])
     assert below.sequence == (4, 1)  # no sheet was crossed on the way
+
+
+def test_many_curves_cross_as_each_does_alone():
+    deep = make_sheet("deep", (0, 0, 20), (0, 0.2, 1), 200, into=3)
+    surfaces = [make_cylinder("core", ((0, -30, 20), (0, 30, 20)), 5.0, into=4), deep, TOP]
+    across = np.random.default_rng(4).uniform(-9, 9, (40, 1, 2)) * np.linspace(0, 1, 31)[:, None] ** 2
+    along = np.linspace(-10, np.linspace(-5, 40, 40), 31).T[..., None]
+    curves = np.concatenate([across, along], axis=2)
+    met = find_path_crossings(curves, surfaces)
+    for n, curve in enumerate(curves):
+        alone = find_crossings(curve, surfaces)
+        count = len(alone.arc)
+        assert tuple(met.layers[n, : count + 1]) == alone.sequence and not met.layers[n, count + 1 :].any()
+        assert_allclose(met.points[n, :count], alone.points, atol=1e-9)
+        assert_allclose(met.arc[n, :count], alone.arc, atol=1e-9)
+        assert np.isnan(met.arc[n, count:]).all()
+    assert len(np.unique(met.layers, axis=0)) == 6
 
 
 def test_faults_of_surfaces():

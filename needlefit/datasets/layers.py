@@ -147,10 +147,10 @@ def find_layers(
 
 
 def compute_depths(points: Floats, frame: Frame) -> Floats:
-    """Return the depths (m,) along C's x of crossings (m, 3), in their order along the needle, mm."""
-    x = frame.to_local(points)[:, 0]
+    """Return the depths (..., m) along C's x of crossings (..., m, 3), in order along the needle, mm."""
+    x = frame.to_local(points)[..., 0]
     # the centreline's first point is not exactly the entry: an interface there may project before it
-    return np.maximum.accumulate(np.maximum(x, 0.0))
+    return np.maximum.accumulate(np.maximum(x, 0.0), axis=-1)
 
 
 def select_layers(boundaries: Floats, reach: float) -> tuple[Floats, tuple[int, ...]]:

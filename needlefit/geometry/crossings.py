@@ -2,20 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats, Ints
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
-from needlefit.geometry.surfaces import Surface
+from needlefit.geometry.surfaces import BLOCK_PAIRS, Surface
 
 # Hits of one surface closer than this along the curve, mm, are one: its triangles share edges.
 SAME_HIT_MM = 1e-6
 # Relative slack at the edges of triangles and ends of segments: an edge is hit twice rather than never.
 EDGE_TOLERANCE = 1e-9
-BLOCK_PAIRS = 200_000  # segment-triangle pairs tested at once; bounds the memory
 
 
 @dataclass(frozen=True)
@@ -27,6 +25,15 @@ class Crossings:
     sequence: tuple[int, ...]  # the m + 1 layer numbers met, beginning with that of the first point
 
 
+@dataclass(frozen=True)
+class PathCrossings:
+    """The layers along each of B curves, and the crossings between them: at most M on a curve."""
+
+    arc: Floats  # (B, M); as of `Crossings`; NaN behind the last crossing of a curve
+    points: Floats  # (B, M, 3); NaN behind the last one
+    layers: Ints  # (B, M + 1); the layer numbers met; 0 behind the last one
+
+
 def find_crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
     """Return the places where the polyline `points` (N, 3) passes from one layer to another.
 
@@ -34,33 +41,60 @@ def find_crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
     which the last sheet crossed leads, whichever way it was crossed, else to layer 1. A touch is no
     crossing, and a crossing that does not change the layer is not listed.
     """
-    curve = np.asarray(points, dtype=np.float64)
-    length = float(arc_length(curve)[-1])
-    hits = [(arc, surface) for surface in surfaces for arc in find_surface_hits(curve, surface)]
-    hits.sort(key=lambda hit: hit[0])
-    stops = [0.0, *(arc for arc, _ in hits), length]
+    crossed = find_path_crossings(np.asarray(points, dtype=np.float64)[None], surfaces)
+    return Crossings(crossed.arc[0], crossed.points[0], tuple(crossed.layers[0].tolist()))
+
+
+def find_path_crossings(curves: Floats, surfaces: Sequence[Surface]) -> PathCrossings:
+    """Return what `find_crossings` returns of each of B polylines (B, N, 3)."""
+    along, hits = _measure_arcs(curves), list[tuple[Ints, Floats, Ints]]()
+    # each curve begins in layer 1; a solid leads nowhere: which stretches lie in it is asked below
+    hits.append((np.arange(len(curves)), np.zeros(len(curves)), np.ones(len(curves), dtype=np.int64)))
+    for surface in surfaces:
+        curve, arc = _find_passages(curves, along, surface)
+        hits.append((curve, arc, np.full(len(arc), surface.into if surface.kind == "sheet" else 0)))
+    curve, start, into = (np.concatenate(parts) for parts in zip(*hits, strict=True))
+    order = np.lexsort((start, curve))  # stable
+    curve, start, into = curve[order], start[order], into[order]
+    last = np.append(np.diff(curve) > 0, True)
+    end = np.where(last, along[curve, -1], np.append(start[1:], 0.0))
+    layer = into[np.maximum.accumulate(np.where(into > 0, np.arange(len(into)), 0))]
+    solids = [surface for surface in surfaces if surface.kind == "solid"]
     # The layer is constant between two hits, so the middle of each stretch decides it; at the hits themselves
     # rounding would.
-    middles = interpolate_at_arc(curve, (np.array(stops[:-1]) + np.array(stops[1:])) / 2)
-    solids = np.zeros(len(middles), dtype=np.int64)
-    for surface in surfaces:
-        if surface.kind == "solid":
-            solids[surface.contains(middles)] = surface.into
-    arcs: list[float] = []
-    sequence: list[int] = []
-    sheet = 1
-    for n, (start, end) in enumerate(pairwise(stops)):
-        if n and hits[n - 1][1].kind == "sheet":
-            sheet = hits[n - 1][1].into
-        layer = int(solids[n]) or sheet
-        if end - start < SAME_HIT_MM or (sequence and layer == sequence[-1]):
-            continue
-        if sequence:
-            arcs.append(start)
-        sequence.append(layer)
-    return Crossings(
-        np.array(arcs), interpolate_at_arc(curve, arcs).reshape(-1, 3), tuple(sequence) or (sheet,)
-    )
+    middles = _interpolate(curves, along, curve, (start + end) / 2) if solids else np.empty((0, 3))
+    for surface in solids:
+        layer[surface.contains(middles)] = surface.into
+    longer = end - start >= SAME_HIT_MM
+    longer |= last & (np.bincount(curve, longer)[curve] == 0)  # of a curve without length
+    kept = np.flatnonzero(longer)
+    changes = (np.diff(layer[kept], prepend=0) != 0) | (np.diff(curve[kept], prepend=-1) != 0)
+    kept = kept[changes]
+    rows, starts = curve[kept], start[kept]
+    place = np.arange(len(kept)) - np.searchsorted(rows, rows)
+    count, crossed = int(place.max()), place > 0
+    arcs, layers = np.full((len(curves), count), np.nan), np.zeros((len(curves), count + 1), dtype=np.int64)
+    points = np.full((len(curves), count, 3), np.nan)
+    layers[rows, place] = layer[kept]
+    where = rows[crossed], place[crossed] - 1
+    arcs[where] = starts[crossed]
+    points[where] = _interpolate(curves, along, rows[crossed], starts[crossed])
+    return PathCrossings(arcs, points, layers)
+
+
+def _measure_arcs(curves: Floats) -> Floats:
+    """Return the arc lengths (B, N) of the points of curves (B, N, 3)."""
+    steps = np.linalg.norm(np.diff(curves, axis=1), axis=2)
+    return np.cumsum(np.concatenate([np.zeros((len(steps), 1)), steps], axis=1), axis=1)
+
+
+def _interpolate(curves: Floats, along: Floats, rows: Ints, arc: Floats) -> Floats:
+    """Return the points (K, 3) at arc lengths (K,) of the curves numbered `rows` (K,)."""
+    after = np.clip((along[rows] <= arc[:, None]).sum(axis=1), 1, curves.shape[1] - 1)
+    first, begin = curves[rows, after - 1], along[rows, after - 1]
+    span = np.maximum(along[rows, after] - begin, np.finfo(np.float64).tiny)
+    slopes: Floats = (curves[rows, after] - first) / span[:, None]
+    return slopes * (arc - begin)[:, None] + first
 
 
 def find_surface_hits(curve: Floats, surface: Surface) -> Floats:
@@ -70,55 +104,81 @@ def find_surface_hits(curve: Floats, surface: Surface) -> Floats:
     the surface and the curve turns back) is no passage through a sheet; for a solid the question is
     settled by which stretches lie inside.
     """
-    arc, sign = _find_triangle_hits(curve, surface)
-    order = np.argsort(arc, kind="stable")
-    arc, sign = arc[order], sign[order]
-    groups = np.split(np.arange(len(arc)), np.flatnonzero(np.diff(arc) > SAME_HIT_MM) + 1) if len(arc) else []
-    through = [g for g in groups if surface.kind == "solid" or abs(sign[g].sum()) == len(g)]
-    return np.array([arc[g[0]] for g in through])
+    return _find_passages(curve[None], _measure_arcs(curve[None]), surface)[1]
+
+
+def _find_passages(curves: Floats, along: Floats, surface: Surface) -> tuple[Ints, Floats]:
+    """Return the passages of curves (B, N, 3) through a surface: the numbers of the curves, and arc lengths.
+
+    They are in the order of the curves, and along each.
+    """
+    curve, arc, sign = _find_triangle_hits(curves, along, surface)
+    if not len(arc):
+        return curve, arc
+    order = np.lexsort((arc, curve))
+    curve, arc, sign = curve[order], arc[order], sign[order]
+    first = np.flatnonzero(np.append(True, (np.diff(curve) > 0) | (np.diff(arc) > SAME_HIT_MM)))
+    if surface.kind == "sheet":
+        first = first[np.abs(np.add.reduceat(sign, first)) == np.diff(np.append(first, len(arc)))]
+    return curve[first], arc[first]
 
 
 def count_ray_hits(start: Floats, rays: Floats, triangles: Floats) -> int:
     """Return how many segments from `start` (3,) along `rays` (N, 3) hit one of the triangles (M, 3, 3)."""
-    segment, _, _ = _intersect(np.broadcast_to(start, rays.shape), rays, triangles)
-    return len(np.unique(segment))
+    hit, _, _ = _intersect(start, rays[:, None], triangles)
+    return int(hit.any(axis=1).sum())
 
 
-def _find_triangle_hits(curve: Floats, surface: Surface) -> tuple[Floats, Floats]:
-    """Return arc length and side (+1: along the triangle's normal) of every hit of segment and triangle."""
-    low, high = curve.min(axis=0) - SAME_HIT_MM, curve.max(axis=0) + SAME_HIT_MM
+def _find_triangle_hits(curves: Floats, along: Floats, surface: Surface) -> tuple[Ints, Floats, Floats]:
+    """Return of every hit of segment and triangle the curve, arc length and side (+1: along the normal).
+
+    Only those are intersected whose boxes overlap: first the boxes of a step of all curves are asked.
+    """
+    low = np.minimum(curves[:, :-1], curves[:, 1:]) - SAME_HIT_MM  # (B, N - 1, 3)
+    high = np.maximum(curves[:, :-1], curves[:, 1:]) + SAME_HIT_MM
     least, greatest = surface.extents
-    triangles = surface.triangles[(greatest >= low).all(axis=1) & (least <= high).all(axis=1)]
-    if len(triangles) == 0:
-        return np.empty(0), np.empty(0)
-    along, step = arc_length(curve), max(1, BLOCK_PAIRS // len(triangles))
-    arcs, signs = [], []
-    for first in range(0, len(curve) - 1, step):
-        starts, ends = curve[first : first + step + 1][:-1], curve[first + 1 : first + step + 1]
-        segment, fraction, sign = _intersect(starts, ends - starts, triangles)
-        lengths = np.diff(along)[first + segment]
-        arcs.append(along[first + segment] + fraction * lengths)
-        signs.append(sign)
-    return np.concatenate(arcs), np.concatenate(signs)
+    near = (greatest >= low.min(axis=(0, 1))).all(axis=1) & (least <= high.max(axis=(0, 1))).all(axis=1)
+    near = np.flatnonzero(near)
+    least, greatest, hits = least[near], greatest[near], list[tuple[Ints, Floats, Floats]]()
+    hits.append((np.empty(0, dtype=np.int64), np.empty(0), np.empty(0)))
+    size = max(1, BLOCK_PAIRS // max(1, len(near) * len(curves)))
+    for first in range(0, low.shape[1] if len(near) else 0, size):
+        some = slice(first, first + size)
+        step, triangle = np.nonzero(_overlap(low[:, some].min(0), high[:, some].max(0), least, greatest))
+        step += first
+        touch = (low[:, step] <= greatest[triangle]) & (least[triangle] <= high[:, step])
+        curve, pair = np.nonzero(touch.all(axis=2))
+        step, triangle = step[pair], near[triangle[pair]]
+        start, end = curves[curve, step], curves[curve, step + 1]
+        hit, fraction, sign = _intersect(start, end - start, surface.triangles[triangle])
+        curve, step, fraction = curve[hit], step[hit], np.clip(fraction[hit], 0.0, 1.0)
+        begin, end = along[curve, step], along[curve, step + 1]
+        hits.append((curve, begin + fraction * (end - begin), sign[hit]))
+    curve, arc, sign = (np.concatenate(parts) for parts in zip(*hits, strict=True))
+    return curve, arc, sign
 
 
-def _intersect(starts: Floats, steps: Floats, triangles: Floats) -> tuple[np.ndarray, Floats, Floats]:
-    """Intersect segments `starts + t steps` (N, 3) with triangles (M, 3, 3): segment, t and side of each hit.
+def _overlap(low: Floats, high: Floats, least: Floats, greatest: Floats) -> Bools:
+    """Return which boxes (N, M) overlap: of ends (N, 3) and (M, 3)."""
+    apart = np.zeros((len(low), len(least)), dtype=np.bool_)
+    for axis in range(3):
+        apart |= (low[:, None, axis] > greatest[:, axis]) | (least[:, axis] > high[:, None, axis])
+    return ~apart
+
+
+def _intersect(starts: Floats, steps: Floats, triangles: Floats) -> tuple[Bools, Floats, Floats]:
+    """Intersect segments `starts + t steps` (..., 3) with triangles (..., 3, 3): which hit, t and side.
 
     Moller and Trumbore's test: with edges e1, e2 of a triangle at a, solve  start + t step = a + u e1 + v e2.
     """
-    a = triangles[:, 0]
-    e1, e2 = triangles[:, 1] - a, triangles[:, 2] - a
-    offset = starts[:, None] - a  # (N, M, 3)
-    normal = np.cross(e1, e2)  # (M, 3)
-    slope = steps @ normal.T  # (N, M), minus the determinant
-    turn = np.cross(offset, steps[:, None])
-    scale = np.linalg.norm(steps, axis=1)[:, None] * np.linalg.norm(normal, axis=1)
+    a = triangles[..., 0, :]
+    e1, e2, offset = triangles[..., 1, :] - a, triangles[..., 2, :] - a, starts - a
+    normal, turn = _cross(e1, e2), _cross(offset, steps)
+    slope = np.sum(steps * normal, axis=-1)  # minus the determinant
+    scale = np.linalg.norm(steps, axis=-1) * np.linalg.norm(normal, axis=-1)
     parallel = np.abs(slope) <= 1e-12 * scale
     safe = np.where(parallel, 1.0, slope)
-    t = -np.einsum("nmk,mk->nm", offset, normal) / safe
-    u = -np.einsum("nmk,mk->nm", turn, e2) / safe
-    v = np.einsum("nmk,mk->nm", turn, e1) / safe
+    t, u, v = (np.sum(product, axis=-1) / safe for product in (-offset * normal, -turn * e2, turn * e1))
     inside = (
         (u >= -EDGE_TOLERANCE)
         & (v >= -EDGE_TOLERANCE)
@@ -126,9 +186,13 @@ def _intersect(starts: Floats, steps: Floats, triangles: Floats) -> tuple[np.nda
         & (t >= -EDGE_TOLERANCE)
         & (t <= 1 + EDGE_TOLERANCE)
     )
-    segment, triangle = np.nonzero(inside & ~parallel)
-    fraction = np.clip(t[segment, triangle], 0.0, 1.0)
-    return segment, fraction, np.sign(slope[segment, triangle])
+    return inside & ~parallel, t, np.sign(slope)
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Return the cross product of vectors (..., 3): a seventh of the time of `np.cross` for a few."""
+    after, before = [1, 2, 0], [2, 0, 1]
+    return a.take(after, -1) * b.take(before, -1) - a.take(before, -1) * b.take(after, -1)
 
 
 ENCLOSURE_RAYS = 12  # number of directions across the curve in which the surface is searched

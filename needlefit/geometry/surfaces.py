@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 SurfaceKind = Literal["sheet", "solid"]
 
 MAX_MESH_BYTES = 256 * 2**20
+BLOCK_PAIRS = 200_000  # pairs of a triangle and a point or segment tested at once; bounds the memory
 EDGE_TOLERANCE = 1e-9  # sine of the angle below which a ray and both ends of an edge lie in one plane
 MERGED_MM = 1e-8  # vertices that agree in whole multiples of it, mm, are one
 MAX_MERGED_MM = 1e9  # greatest plausible coordinate of a boundary, mm
@@ -86,28 +87,35 @@ class Surface:
 
     def contains(self, points: Floats) -> Bools:
         """Return whether each point (N, 3) lies inside."""
-        return np.array([self._contains(point) for point in points], dtype=bool)
+        size = max(1, BLOCK_PAIRS // max(1, len(self.faces)))
+        parts = [self._contains(points[first : first + size]) for first in range(0, len(points), size)]
+        return np.concatenate([np.empty(0, dtype=np.bool_), *parts])
 
-    def _contains(self, point: Floats) -> bool:
-        """Return whether a ray along x from a point leaves the surface once more than it enters it.
+    def _contains(self, points: Floats) -> Bools:
+        """Return whether a ray along x from each point (N, 3) leaves the surface once more than it enters it.
 
         Where the ray meets an edge of a triangle the solid angle is asked instead.
         """
         low, high = self.extents
-        near = (low[:, 1] <= point[1]) & (point[1] <= high[:, 1])
-        near &= (low[:, 2] <= point[2]) & (point[2] <= high[:, 2]) & (point[0] <= high[:, 0])
-        corners = self.triangles[near] - point
+        near = points[:, None, 0] <= high[:, 0]
+        for axis in (1, 2):
+            place = points[:, None, axis]
+            near &= (low[:, axis] <= place) & (place <= high[:, axis])
+        rows, triangles = np.nonzero(near)
+        corners = self.triangles[triangles] - points[rows, None]
         y, z = corners[..., 1], corners[..., 2]
         after = [1, 2, 0]
-        # twice the areas of the triangles between the ray and each edge, seen along x: (F, 3)
+        # twice the areas of the triangles between the ray and each edge, seen along x: (K, 3)
         parts = y * z[:, after] - y[:, after] * z
         sides = np.hypot(y, z)
-        if (np.abs(parts) <= EDGE_TOLERANCE * sides * sides[:, after]).any():
-            return abs(_sum_solid_angles(self.triangles - point)) > 2 * np.pi
+        by_edge = (np.abs(parts) <= EDGE_TOLERANCE * sides * sides[:, after]).any(axis=1)
         met = np.abs(np.sign(parts).sum(axis=1)) == len(after)
         # each part weighs the corner opposite its edge
-        x = np.sum(parts * corners[:, [2, 0, 1], 0], axis=1)[met] / parts.sum(axis=1)[met]
-        return bool(np.sum(x > 0) % 2)
+        ahead = np.sum(parts * corners[:, [2, 0, 1], 0], axis=1)[met] / parts.sum(axis=1)[met] > 0
+        inside = np.bincount(rows[met][ahead], minlength=len(points)) % 2 == 1
+        for row in np.unique(rows[by_edge]):
+            inside[row] = abs(_sum_solid_angles(self.triangles - points[row])) > 2 * np.pi
+        return np.asarray(inside, dtype=np.bool_)
 
     @cached_property
     def extents(self) -> tuple[Floats, Floats]:

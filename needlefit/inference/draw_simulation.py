@@ -1,8 +1,8 @@
 """Predict one planned insertion, or a scene, with many draws of the parameters at once.
 
 Each draw has layers of its own: its needle bends otherwise, and meets the surfaces elsewhere. The kernel
-takes the boundaries of every set, so that draws with the same error of the entry are one batch. Where the
-surfaces lie is tabulated along parallels to the entry axis, since draws deviate by millimetres.
+takes the boundaries of every set, so that draws with the same error of the entry that meet the same layers
+are one batch.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,11 +35,7 @@ from needlefit.mechanics.scene import Scene
 from needlefit.schemas.medium import MediumRecord
 
 PATH_POINTS = 31  #: points of a needle among which its crossings are looked for
-TABLE_POINTS = 9  #: parallels to the entry axis along which the places of surfaces are tabulated
-OUTERMOST = (0.002, 0.998)  #: quantiles of the points of all draws between which surfaces are tabulated
-#: distance of the outermost parallels from the outermost draws, mm, and of surfaces that no tip reaches
-TABLE_MARGIN_MM = 0.5
-BEYOND_TIP_MM = 10.0  #: length of the parallels beyond the tip, mm
+BEYOND_TIP_MM = 10.0  #: length of a path beyond the tip, mm: farther than boundaries err
 #: errors of the entry that draws have: the middles of equal parts of a normal distribution, of unit variance
 ENTRY_ERRORS = ndtri((np.arange(8) + 0.5) / 8)
 ENTRY_ERRORS /= ENTRY_ERRORS.std()
@@ -108,10 +104,10 @@ def simulate_draws(
     if insertion.surfaces:
         # the needles bend alike through the layers of the straight path: next crossings move by 1e-3 mm
         stations, still = np.linspace(0.0, insertion.depth, PATH_POINTS), np.zeros_like(deep)
-        depths, sequence = find_path_layers(np.outer(stations, (1.0, 0.0, 0.0)), insertion)
-        met = [(every, np.tile(depths, (len(sets), 1)), sequence)]
+        (depths,), (sequence,) = find_path_layers(np.outer(stations, (1.0, 0.0, 0.0))[None], insertion)
+        met = [(every, np.tile(depths, (len(sets), 1)), tuple(sequence.tolist()))]
         straight = _simulate(sets, medium, insertion, stations, met, still, np.zeros_like(wrong), jobs, False)
-        met = _find_met_layers(straight.points, insertion, wrong, medium.layers)
+        met = _find_met_layers(straight.points, insertion, wrong)
     return _simulate(sets, medium, insertion, s, met, deep, wrong, jobs)
 
 
@@ -181,67 +177,19 @@ def simulate_scene_draws(
     return _read_needles(len(sets), len(s), parts, 1)
 
 
-def _find_met_layers(paths: Floats, insertion: Insertion, wrong: Floats, layers: int) -> list[MetLayers]:
-    """Return the layers that paths (B, P, 3) in C meet, of which the medium has so many."""
-    known = np.flatnonzero(np.isfinite(paths).all(axis=(1, 2)))
-    if not len(known):
+def _find_met_layers(paths: Floats, insertion: Insertion, wrong: Floats) -> list[MetLayers]:
+    """Return the layers that paths (B, P, 3) in C meet.
+
+    A path goes on straight beyond its tip: with errors of the boundaries a needle may reach what lies there.
+    """
+    rows = np.flatnonzero(np.isfinite(paths).all(axis=(1, 2)))
+    if not len(rows):
         return []
-    low, high = np.quantile(paths[known, :, 1], OUTERMOST)
-    table = _tabulate_surfaces(insertion, float(low), float(high))
-    if table is not None:
-        crossings = table.find_crossings(paths[known])
-        deepest = insertion.depth + TABLE_MARGIN_MM - np.min(wrong[:, : crossings.shape[1]], axis=0)
-        count = int(np.sum(np.cumprod(crossings.min(axis=0) < deepest)))
-        if max(table.sequence[: count + 1]) <= layers:
-            return [(known, crossings[:, :count], table.sequence[: count + 1])]
-    # parallels disagree: a surface that some needles meet and others miss
-    crossed = [(row, *find_path_layers(paths[row], insertion)) for row in known]
-    groups = group_values((sequence, (row, depths)) for row, depths, sequence in crossed)
-    return [
-        (np.array([row for row, _ in some]), np.array([depths for _, depths in some]), sequence)
-        for sequence, some in groups.items()
-    ]
-
-
-@dataclass(frozen=True)
-class _SurfaceTable:
-    """Depths (T, n - 1) at which T parallels to the entry axis, at `y` (T,), cross surfaces, and n layers."""
-
-    y: Floats
-    depths: Floats
-    sequence: tuple[int, ...]
-
-    def find_crossings(self, paths: Floats) -> Floats:
-        """Return the depths (B, n - 1) at which paths (B, P, 3) cross; of the parallel if they end before."""
-        x, y = paths[..., 0], paths[..., 1]
-        crossings = np.empty((len(paths), self.depths.shape[1]))
-        rows = np.arange(len(paths))
-        for j, depths in enumerate(self.depths.T):
-            ahead = np.interp(y, self.y, depths) - x  # (B, P), positive before the surface
-            beyond = ahead <= 0
-            # the first point beyond; without one the last
-            after = np.where(beyond.any(axis=1), np.argmax(beyond, axis=1), x.shape[1] - 1)
-            before = np.maximum(after - 1, 0)
-            span = ahead[rows, before] - ahead[rows, after]
-            part = np.clip(np.divide(ahead[rows, before], span, out=np.ones(len(x)), where=span > 0), 0, 1)
-            depth = x[rows, before] + part * (x[rows, after] - x[rows, before])
-            # of a needle that ends before it
-            end = x[:, -1] + ahead[:, -1]
-            crossings[:, j] = np.where(beyond.any(axis=1), depth, end)
-        return crossings
-
-
-def _tabulate_surfaces(insertion: Insertion, low: float, high: float) -> _SurfaceTable | None:
-    """Return where parallels `low` to `high` mm beside the entry axis cross; None where they disagree."""
-    y = np.linspace(low - TABLE_MARGIN_MM, high + TABLE_MARGIN_MM, TABLE_POINTS)
-    tables = []
-    for height in y:
-        local = np.array([[0.0, height, 0.0], [insertion.depth + BEYOND_TIP_MM, height, 0.0]])
-        tables.append(find_path_layers(local, insertion))
-    count = min(len(depths) for depths, _ in tables)
-    sequences = {sequence[: count + 1] for _, sequence in tables}
-    # a further surface that some parallels do not meet must be one that no needle reaches
-    near = any(np.any(depths[count:] < insertion.depth + TABLE_MARGIN_MM) for depths, _ in tables)
-    if len(sequences) > 1 or near:
-        return None
-    return _SurfaceTable(y, np.array([depths[:count] for depths, _ in tables]), sequences.pop())
+    steps = paths[rows, -1:] - paths[rows, -2:-1]
+    beyond = paths[rows, -1:] + BEYOND_TIP_MM * steps / np.linalg.norm(steps, axis=2, keepdims=True)
+    depths, numbers = find_path_layers(np.concatenate([paths[rows], beyond], axis=1), insertion)
+    reached = depths + wrong[rows, : depths.shape[1]] < insertion.depth  # not where NaN: there is no further
+    last = np.max(reached * np.arange(1, depths.shape[1] + 1), axis=1, initial=0)
+    sequences = (tuple(met[: count + 1]) for met, count in zip(numbers.tolist(), last.tolist(), strict=True))
+    groups = group_values(zip(sequences, range(len(rows)), strict=True))
+    return [(rows[some], depths[some, : len(sequence) - 1], sequence) for sequence, some in groups.items()]

@@ -15,6 +15,7 @@ import numpy as np
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.datasets.insertion import GUIDE_STILL_MM, Insertion, InsertionInputs
 from needlefit.errors import ConfigError, DataError
+from needlefit.geometry.crossings import find_path_crossings
 from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension, is_shape_parameter
 from needlefit.inference.parameters import Parameters, make_tissue
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-from needlefit.datasets.layers import find_layers
+from needlefit.datasets.layers import compute_depths, find_layers
 from needlefit.mechanics.shape import sample_inserted_points
 
 
@@ -538,13 +539,13 @@ def with_planned_layers(
         return insertion
     # the straight planned path; it uses nothing of the measured shape
     path = np.outer(np.linspace(0.0, insertion.depth, 101), (1.0, 0.0, 0.0))
-    depths, sequence = find_path_layers(path, insertion)
+    depths, sequence = _find_layers(path, insertion)
     for round_ in range(MAX_ROUNDS):
         shape = predict(values, medium, replace(insertion, boundaries=depths, sequence=sequence))
         if not shape.converged:
             return None
         before = depths, sequence
-        depths, sequence = find_path_layers(sample_inserted_points(shape), insertion)
+        depths, sequence = _find_layers(sample_inserted_points(shape), insertion)
         if sequence != before[1]:
             continue
         if np.all(np.abs(depths - before[0]) < CROSSING_TOLERANCE_MM):
@@ -555,6 +556,15 @@ def with_planned_layers(
     return None
 
 
-def find_path_layers(curve: Floats, insertion: Insertion) -> Layers:
+def _find_layers(curve: Floats, insertion: Insertion) -> Layers:
     """Return the layers that a curve (K, 3) in C meets."""
     return find_layers(insertion.frame.to_world(curve), insertion.frame, insertion.surfaces)
+
+
+def find_path_layers(curves: Floats, insertion: Insertion) -> tuple[Floats, Ints]:
+    """Return the depths (B, M), mm, at which curves (B, K, 3) in C cross surfaces, NaN behind the last.
+
+    And the layers (B, M + 1) that they meet, 0 behind the last.
+    """
+    crossed = find_path_crossings(insertion.frame.to_world(curves), insertion.surfaces)
+    return compute_depths(crossed.points, insertion.frame), crossed.layers
