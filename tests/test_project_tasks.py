@@ -15,11 +15,12 @@ import pytest
 from made_again import read_files
 from refusals import refusal
 from test_cli import run
+from world import SHORT, copy_project
 
 from needlefit.errors import ConfigError, UnfinishedWorkError
-from needlefit.project import cluster, tasks
+from needlefit.project import cluster, locate, tasks
 from needlefit.project.cluster import connect_cluster, require_secured
-from needlefit.project.locate import shipped_folder
+from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.processes import THREAD_VARIABLES
 from needlefit.project.tasks import LocalPool, compute_beside
 from tests.cluster_processes import start_scheduler, start_worker
@@ -242,6 +243,20 @@ def test_a_cohort_fitted_on_workers_is_that_of_this_machine(address, world, tmp_
     counts = fits.groupby("specimen")["insertions"].unique().map(list)
     assert counts.to_dict() == {"piece1": [2], "piece2": [1]}
     assert (fits["interval_low"] < fits["value"]).all() and (fits["value"] < fits["interval_high"]).all()
+
+
+def test_folds_on_workers_give_the_files_of_this_machine(address, world, tmp_path, monkeypatch):
+    """Of two studies at once; workers start in another folder."""
+    monkeypatch.chdir(copy_project(world, tmp_path))
+    study = (tmp_path / "studies/held_out.toml").read_text(encoding="utf-8")
+    folds = study.partition("tune = ")[0] + 'leave_out = "specimen"\n'
+    (tmp_path / "studies/folds.toml").write_text(folds, encoding="utf-8")
+    monkeypatch.setattr(
+        locate, "find_studies", lambda name: {n: find_file("study", n) for n in name.split(",")}
+    )
+    for out, where in (("here", ("--jobs", "2")), ("there", ("--scheduler", address))):
+        assert run("validate", "folds,held_out", *where, "--out", out, "-q") in SHORT
+    assert read_files(Path("here")) == read_files(Path("there"))
 
 
 @pytest.mark.sweep

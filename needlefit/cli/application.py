@@ -13,7 +13,12 @@ COMMANDS: tuple[tuple[str, Callable[..., None], str, tuple[str, ...]], ...] = (
     ("import", data.import_data, "curves.xlsx --out ./mydata", ("strict", "json", "plugins")),
     ("check", data.check, "./mydata", ("strict", "json", "plugins")),
     ("tune", studies.tune, "phantom1", ("seed", "jobs", "out", *_STUDY_OPTIONS)),
-    ("validate", studies.validate, "study3", ("seed", "jobs", "out", "reference", *_STUDY_OPTIONS)),
+    (
+        "validate",
+        studies.validate,
+        "study3",
+        ("seed", "jobs", "scheduler", "insecure", "out", "reference", *_STUDY_OPTIONS),
+    ),
     ("predict", studies.predict, "study3 --scene study3", ("seed", "jobs", "out", *_STUDY_OPTIONS)),
     ("simulate", simulate.simulate, "phantom1 --depth 60", ("strict", "json", "plugins")),
     ("view", pages.view, "figure1", ("out", "quiet", "plugins")),

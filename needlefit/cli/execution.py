@@ -1,7 +1,9 @@
 """Run studies as options state: progress, folders of results and checkpoints, what is printed of them."""
 
+import math
 import re
 import shlex
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -26,7 +28,6 @@ if TYPE_CHECKING:
     from needlefit.studies.run import Run
 
 import sys
-import threading
 import time
 from typing import TextIO
 
@@ -105,12 +106,13 @@ class Execution:
     """How runs of a command go; results go to `OUT/<name>/`, checkpoints to `OUT/<name>.partial/`.
 
     `stop`: whether to end early. `sources` are the files of which each result is made, by its name; `prepare`
-    fills them.
+    fills them. `pool`: the workers of a cluster.
     """
 
     invocation: Invocation
     stop: Callable[[], bool] = never_stop
     sources: "dict[str, Sequence[str]]" = field(default_factory=dict)
+    pool: "TaskPool | None" = None
 
     def prepare_result(self, name: str, sources: Sequence[str], record: "FileRecord | None" = None) -> None:
         """Make sure, as `prepare`, that the result of some files, and of a study or fit, can be written.
@@ -157,6 +159,7 @@ class Execution:
             settings = Settings(
                 seed=asked.seed,
                 jobs=asked.jobs or count_cores(),
+                pool=self.pool,
                 checkpoint=self.checkpoint(study.name),
                 resume=asked.resume,
                 sample=sample,
@@ -261,10 +264,13 @@ def require_no_faults(faults: Iterable[str]) -> None:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
+_WRITING = threading.Lock()  # of reports: what draws and compiles them serves one thread at a time
+
+
 def _run_study(
     execution: Execution, datasets: "Mapping[Path, Dataset]", work: "StatedStudy"
 ) -> "tuple[Run, list[str]]":
-    """Run and write a study; it may do so in a copy of this process. An interrupted one is not written.
+    """Run and write a study; it may do so in a thread or a copy. An interrupted one is not written.
 
     `datasets`: by the files or folders that studies name. Also returns the notes that were printed.
     """
@@ -280,17 +286,50 @@ def _run_study(
     # a fit by itself is sampled as by `tune`; folds of studies are not
     run = execution.run(work, sample=not isinstance(work.record, StudyRecord))
     if not run.interrupted:
-        execution.write(run)
+        with _WRITING:
+            execution.write(run)
     return run, noted
+
+
+def _run_side_by_side(
+    execution: Execution, todo: "Sequence[StatedStudy]", datasets: "Mapping[Path, Dataset]"
+) -> "Iterator[tuple[int, tuple[Run, list[str]]]]":
+    """Yield the number of each study and what `_run_study` returns, as they are finished.
+
+    They run in as many copies of this process as there are jobs, or in threads that wait for the workers of a
+    cluster.
+    """
+    from needlefit.project.tasks import LocalPool, TaskStop, can_fork, run_parts, stop_requested
+
+    asked, stop = execution.invocation, TaskStop(execution.stop)
+    with open_pool(asked, count_cores()) as pool:
+        if isinstance(pool, LocalPool):
+            processes = min(pool.size, len(todo)) if can_fork() else 1
+            if processes > 1:
+                print_remark(f"{len(todo)} runs in {processes} processes")
+                alone = replace(asked, jobs=math.ceil(pool.size / processes), quiet=True)  # no core is idle
+                execution = replace(execution, invocation=alone, stop=stop_requested)
+            yield from LocalPool(processes).run(partial(_run_study, execution, datasets), todo, stop)
+            return
+        alone = replace(asked, jobs=1, quiet=asked.quiet or len(todo) > 1)
+        sending = replace(execution, invocation=alone, stop=stop, pool=pool)
+
+        def run_in_thread(work: "StatedStudy") -> "tuple[Run, list[str]]":
+            try:
+                return _run_study(sending, datasets, work)
+            except BaseException:
+                stop.leave()  # nobody wants the others
+                raise
+
+        yield from run_parts(run_in_thread, todo, len(todo))
 
 
 def run_studies(execution: Execution, todo: "Sequence[StatedStudy]") -> "list[Run]":
     """Run, write and print every work; their checkpoints stay. A dataset is read once for all.
 
-    Several run side by side in as many copies of this process as there are jobs, the results are the same.
+    Several run side by side; the results are the same.
     """
     from needlefit.datasets.read import read
-    from needlefit.project.tasks import LocalPool, can_fork, stop_requested
     from needlefit.project.toml import add_file_context, find_named
     from needlefit.schemas.study import FitRecord
 
@@ -300,17 +339,8 @@ def run_studies(execution: Execution, todo: "Sequence[StatedStudy]") -> "list[Ru
             with add_file_context(work.file):
                 path = find_named("dataset", work.record.dataset)
                 datasets[path] = datasets.get(path) or read(path)
-    asked = execution.invocation
-    jobs = asked.jobs or count_cores()
-    processes = min(jobs, len(todo)) if can_fork() else 1
-    running = execution
-    if processes > 1:
-        print_remark(f"{len(todo)} runs in {processes} processes")
-        alone = replace(asked, jobs=jobs // processes, quiet=True)
-        running = replace(execution, invocation=alone, stop=stop_requested)
-    runner = partial(_run_study, running, datasets)
-    finished, done = dict[int, "Run"](), list["Run"]()
-    for number, (run, noted) in LocalPool(processes).run(runner, todo, execution.stop):
+    asked, finished, done = execution.invocation, dict[int, "Run"](), list["Run"]()
+    for number, (run, noted) in _run_side_by_side(execution, todo, datasets):
         if run.interrupted:
             break
         asked.noted += noted

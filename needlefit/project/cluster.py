@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from needlefit.errors import ConfigError
+from needlefit.errors import ConfigError, UnfinishedWorkError
 from needlefit.project.progress import Note, Stop, never_stop, no_note
-from needlefit.project.tasks import as_finished
+from needlefit.project.tasks import as_finished, read_work, stop_tasks
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -54,12 +54,15 @@ class ClusterPool:
     ) -> Iterator[tuple[int, Result]]:
         """Yield results as they are finished: see `TaskPool.run`. A stop drops the tasks that run.
 
-        ConfigError if the scheduler is lost, a worker has other versions, or a task ended several workers.
+        UnfinishedWorkError if the scheduler is lost, a worker has other versions, or a task ended several
+        workers.
         """
+        from distributed.protocol.pickle import dumps  # also functions of a script
+
         code = describe_code()
         running: set[Future[Result]] = set()
-        # as a task, so that it is sent again to a worker that comes later
-        shared = self.client.submit(_keep, work, pure=False)
+        # as a task, so that it is sent again to a worker that comes later; as bytes: tasks change their work
+        shared = self.client.submit(_keep, dumps(work), pure=False)
         wanted, count_at = 0, -math.inf
 
         def submit(n: int) -> "Future[Result]":
@@ -87,7 +90,7 @@ class ClusterPool:
                     self.client.cancel([*running, shared], force=True)
 
     def _count_workers(self) -> int:
-        """Return how many workers are connected; ConfigError if the scheduler is lost."""
+        """Return how many workers are connected; UnfinishedWorkError if the scheduler is lost."""
         if self.client.status != "running":
             raise _lost_scheduler()
         try:
@@ -105,7 +108,7 @@ def _result_of(future: "Future[Result]") -> Result:
     try:
         return future.result()
     except KilledWorker as error:
-        raise ConfigError(
+        raise UnfinishedWorkError(
             f"a task ended {error.last_worker.address if error.last_worker else 'its worker'} and others",
             expected="workers with memory for a task",
             fix="give each worker more memory, then go on with --resume",
@@ -115,8 +118,8 @@ def _result_of(future: "Future[Result]") -> Result:
         raise _lost_scheduler() from None
 
 
-def _lost_scheduler() -> ConfigError:
-    return ConfigError(
+def _lost_scheduler() -> UnfinishedWorkError:
+    return UnfinishedWorkError(
         "the scheduler of the cluster was lost",
         expected="a running scheduler",
         fix="start it again, then go on with --resume: finished tasks are kept",
@@ -165,16 +168,16 @@ def require_secured(scheduler: str, insecure: bool = False) -> None:
         )
 
 
-def _keep(work: Callable[[Item], Result]) -> Callable[[Item], Result]:
-    return work
+def _keep(data: bytes) -> bytes:
+    return data
 
 
-def _run_task(work: Callable[[Item], Result], item: Item, code: dict[str, str]) -> Result:
-    """Return on a worker what the work makes of an item; ConfigError if it has other versions than `code`."""
+def _run_task(data: bytes, item: object, code: dict[str, str]) -> Any:  # noqa: ANN401 - of any work
+    """Return on a worker what the work makes of an item; UnfinishedWorkError if its versions are others."""
     here = describe_code()
     other = [f"{name} {here[name]} instead of {value}" for name, value in code.items() if here[name] != value]
     if other:
-        raise ConfigError(
+        raise UnfinishedWorkError(
             f"a worker has {', '.join(other)}",
             expected="the versions of this machine",
             fix="install them on all workers",
@@ -182,7 +185,16 @@ def _run_task(work: Callable[[Item], Result], item: Item, code: dict[str, str]) 
         )
     with _ONE_AT_A_TIME:
         _limit_worker()
-        return work(item)
+        stop_tasks(_watch_task())
+        return read_work(data)(item)
+
+
+def _watch_task() -> Stop:
+    """Return what finds out whether the task of this thread of a worker was cancelled."""
+    from distributed import get_worker
+
+    tasks, key = get_worker().state.tasks, get_worker().get_current_task()
+    return lambda: key not in tasks or tasks[key].state == "cancelled"
 
 
 @cache

@@ -209,16 +209,20 @@ def _run_piece(number: int) -> bytes:
 class _Surroundings:
     """What a task may know about the process that it runs in."""
 
-    stop: Event | None = None
+    stop: Stop = staticmethod(never_stop)
     stopped = False
     work: Sequence[Callable[[], bytes]] = ()  # what this process was copied for
 
 
 def stop_requested() -> bool:
     """Whether the task that asks shall end early; it then has no result."""
-    if _Surroundings.stop is not None and _Surroundings.stop.is_set():
-        _Surroundings.stopped = True
+    _Surroundings.stopped = _Surroundings.stopped or _Surroundings.stop()
     return _Surroundings.stopped
+
+
+def stop_tasks(stop: Stop) -> None:
+    """Let tasks of this process end early once `stop` is true."""
+    _Surroundings.stop, _Surroundings.stopped = staticmethod(stop), False
 
 
 def can_fork() -> bool:
@@ -260,16 +264,17 @@ def _begin_process(stop: Event, parent: int, is_copy: bool) -> None:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING_SIGNALS)
         threadpool_limits(1, user_api="blas")
     limit_to_one_thread()
-    _Surroundings.stop = stop
+    stop_tasks(stop.is_set)
 
 
 def _run_task(data: bytes, item: object) -> tuple[Any, bool]:
     """Return a result, and whether nothing made the task end early."""
     _Surroundings.stopped = False
-    result = _read_work(data)(item)
+    result = read_work(data)(item)
     return result, not _Surroundings.stopped
 
 
 @lru_cache(maxsize=1)  # tasks of the same work share what it computes once
-def _read_work(data: bytes) -> Callable[[object], object]:
+def read_work(data: bytes) -> Callable[[object], object]:
+    """Return work as `pickle` wrote it."""
     return pickle.loads(data)  # noqa: S301  from the process that started this one

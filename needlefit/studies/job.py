@@ -31,6 +31,7 @@ from needlefit.project.processes import one_thread
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.tasks import TaskPool
 from needlefit.project.toml import add_file_context, add_study_context, locate_key
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MediumRecord
@@ -81,6 +82,7 @@ class Settings:
     stop: Stop = never_stop  #: asked often; True ends the run early, marked `interrupted`
     first: Note = no_note  #: given the first finding in one line, long before the run ends
     note: Note = no_note  #: given a line about what was damaged in the checkpoint
+    pool: TaskPool | None = None  #: runs the folds; None: `jobs` processes of this machine
     file: Path | None = None  #: the study's, which warnings about it name
     inputs: Inputs = Inputs()  #: what is not read from files
 

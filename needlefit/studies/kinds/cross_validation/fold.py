@@ -125,8 +125,8 @@ class FoldServices:
         return self if os.getpid() == self.process else self.copy(job)
 
     def copy(self, job: Job, **changed: Any) -> "FoldServices":  # noqa: ANN401 - of `Settings`
-        """Return those of a copy of this process, which nobody watches, with that one's stop."""
-        settings = replace(self.settings, progress=no_progress, stop=stop_requested, **changed)
+        """Return those of another process, which nobody watches, with that one's stop."""
+        settings = replace(self.settings, pool=None, progress=no_progress, stop=stop_requested, **changed)
         return replace(self, settings=settings, progress=StudyProgress(job, no_progress))
 
 

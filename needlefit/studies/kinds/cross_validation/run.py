@@ -3,6 +3,7 @@
 A fit is a study of one fold, which scores only its own insertions. The report judges the run by its tables.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -17,7 +18,7 @@ from needlefit.inference.doubts import Doubts
 from needlefit.inference.identifiability.precision import predict_factors
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS
 from needlefit.inference.problem import find_new_bevel_sd
-from needlefit.project.checkpoint import open_checkpoint
+from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import no_note
 from needlefit.project.result_warnings import to_stored_rows
@@ -86,11 +87,15 @@ def run_folds(job: Job, services: FoldServices) -> list[FoldResult]:
     settings = services.settings
     processes = min(settings.jobs, len(job.folds)) if can_fork() else 1
     results_by_number = dict[int, FoldResult]()
-    if processes > 1:
-        copied = services.copy(job, jobs=settings.jobs // processes, first=no_note, note=no_note)
-        copied = replace(copied, checkpoint=replace(copied.checkpoint, note=no_note))
-        work = partial(_run_in_copy, job, copied)
-        for number, (result, noted) in LocalPool(processes).run(work, range(len(job.folds)), settings.stop):
+    if settings.pool is not None or processes > 1:
+        threads = math.ceil(settings.jobs / processes)  # no core is idle
+        copied = services.copy(job, jobs=threads, first=no_note, note=no_note)
+        folder = services.checkpoint.folder
+        # another machine's working folder is another
+        copied = replace(copied, checkpoint=Checkpoint(folder and folder.absolute()))
+        work = partial(_run_elsewhere, job, copied)
+        pool = settings.pool or LocalPool(processes)
+        for number, (result, noted) in pool.run(work, range(len(job.folds)), settings.stop):
             results_by_number[number] = result
             for line in noted:
                 services.checkpoint.note(line)
@@ -105,8 +110,8 @@ def run_folds(job: Job, services: FoldServices) -> list[FoldResult]:
     return results
 
 
-def _run_in_copy(job: Job, services: FoldServices, number: int) -> tuple[FoldResult, list[str]]:
-    """Return the result of a fold by its number, and the notes about its checkpoint."""
+def _run_elsewhere(job: Job, services: FoldServices, number: int) -> tuple[FoldResult, list[str]]:
+    """Return, in another process, the result of a fold by its number, and the notes about its checkpoint."""
     noted = list[str]()
     checkpoint = replace(services.checkpoint, note=noted.append)
     return run_fold(job, job.folds[number], replace(services, checkpoint=checkpoint)), noted
