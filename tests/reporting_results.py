@@ -24,6 +24,12 @@ from needlefit.studies.kinds.cross_validation.run import find_faults
 from needlefit.studies.run import Run
 from needlefit.studies.score import FAILED
 
+
+def with_frames(run, **frames):
+    """Return a run with some tables replaced."""
+    return replace(run, frames={**run.frames, **frames})
+
+
 DEFLECTION = {("phantom2", 4): 4.3, ("phantom2", 3): 3.4, ("phantom2", 2): 0.9, ("phantom2", 1): 0.4}
 MISS = {  # method -> error of the tip as a share of the deflection, plus a shift in mm
     "fitted": (0.04, 0.12),
@@ -283,7 +289,7 @@ def with_predictions(results, levels=(0.1, 0.4, 0.7, 0.97)):
         band |= {"measured_mm": y, "median_mm": y, "low_50_mm": y - 0.1, "high_50_mm": y + 0.1}
         bands.append(pd.DataFrame(band | {"low_95_mm": y - half, "high_95_mm": y + half}))
     predictive = pd.DataFrame(rows).reindex(columns=list(FRAMES["predictive"]))
-    return results.with_frames(predictive=predictive, bands=pd.concat(bands, ignore_index=True))
+    return with_frames(results, predictive=predictive, bands=pd.concat(bands, ignore_index=True))
 
 
 def sampled(low, high, r_hat=1.0):

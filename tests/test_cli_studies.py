@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from reporting_results import study
+from reporting_results import study, with_frames
 from test_cli import run
 
 from needlefit.cli import screen
@@ -103,7 +103,7 @@ def test_simulations_that_fail_are_marked_by_the_exit_code(stub):
 def test_an_interrupted_run_keeps_its_checkpoint_and_prints_how_to_resume(line, found, written, stub, capsys):
     results = study(1)
     if not found:
-        results = results.with_frames(errors=results.frames["errors"].query("method != 'fitted'"))
+        results = with_frames(results, errors=results.frames["errors"].query("method != 'fitted'"))
     made = stub(dataclasses.replace(results, interrupted=True))
     assert run(line) == 130
     assert [results.interrupted for results, _ in made.written] == [True] * written

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from inference_cases import TRUTH, two_layers
 from pytest import approx
-from reporting_results import study
+from reporting_results import study, with_frames
 from test_datasets import CURVE, record, row
 
 import needlefit
@@ -53,7 +53,7 @@ def fitted(values, folds_=1):
             value = value or np.sqrt(low * high)
             place |= {"value": value, "interval_low": value, "interval_high": value}
             rows.append({**first, **place, "status": "free"})
-    return results.with_frames(parameters=pd.DataFrame(rows, columns=results.frames["parameters"].columns))
+    return with_frames(results, parameters=pd.DataFrame(rows, columns=results.frames["parameters"].columns))
 
 
 @pytest.mark.parametrize(
@@ -81,8 +81,9 @@ def scored(role, errors, floor=0.01):
         for n, error in enumerate(each)
     ]
     frames = {"errors": rows, "shapes": []}
-    return results.with_frames(
-        **{name: pd.DataFrame(some, columns=results.frames[name].columns) for name, some in frames.items()}
+    return with_frames(
+        results,
+        **{name: pd.DataFrame(some, columns=results.frames[name].columns) for name, some in frames.items()},
     )
 
 
@@ -101,7 +102,7 @@ def test_in_sample_errors_far_from_the_noise_floor_are_named(errors, floor, kind
     assert [one.kind for one in found] == kinds
     assert all(f"n = {len(errors)}" in one.what for one in found)
     held_out = results.frames["errors"].assign(role="validate")
-    assert list(warn("noise", results.with_frames(errors=held_out))) == []
+    assert list(warn("noise", with_frames(results, errors=held_out))) == []
 
 
 @pytest.mark.parametrize(("signs", "count"), [((1, 1), 1), ((1, -1), 0)])
@@ -113,7 +114,7 @@ def test_a_residual_that_all_insertions_share_is_named(signs, count):
     )
     bend = 0.02 * (shapes["simulated_x_mm"] - 60) ** 2 / 60
     shapes = shapes.assign(measured_y_mm=shapes["simulated_y_mm"] + turn * bend)
-    assert len(warn("shared_residual", results.with_frames(shapes=shapes))) == count
+    assert len(warn("shared_residual", with_frames(results, shapes=shapes))) == count
 
 
 def test_a_boundary_that_the_data_put_elsewhere_and_parameters_of_no_tissue_or_bevel_are_named():
@@ -129,10 +130,10 @@ def test_a_boundary_that_the_data_put_elsewhere_and_parameters_of_no_tissue_or_b
     parameters = results.frames["parameters"]
     is_mu = (parameters["parameter"] == "mu1_pa") & (parameters["method"] == "fitted")
     stiff = parameters.assign(value=parameters["value"].mask(is_mu, 1.6e8))
-    assert len(warn("units", results.with_frames(parameters=stiff))) == 1
+    assert len(warn("units", with_frames(results, parameters=stiff))) == 1
     is_bevel = (parameters["parameter"] == "bevel_mm") & (parameters["method"] == "fitted")
     flat = parameters.assign(value=parameters["value"].mask(is_bevel, math.tan(math.radians(0.3))))
-    (one,) = warn("units", results.with_frames(parameters=flat))
+    (one,) = warn("units", with_frames(results, parameters=flat))
     assert all(part in one.what for part in ("0.3", "1.7", "60"))
 
 

@@ -8,7 +8,7 @@ import pytest
 import scipy.stats
 from numpy.testing import assert_allclose
 from pytest import approx
-from reporting_results import stereo, study, with_predictions
+from reporting_results import stereo, study, with_frames, with_predictions
 
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.studies.first_page import Check, Outcome
@@ -152,7 +152,7 @@ def with_tip_errors(results, **mm):
     errors["te_mm"] = errors["tip_error_y_mm"].abs()
     sd = np.where(errors["floor_te_mm"].notna(), 0.18, 0.0)
     others = dict.fromkeys(("tip_registered_sd_mm", "tip_error_x_mm", "tip_error_z_mm"), 0.0)
-    return results.with_frames(errors=errors.assign(tip_across_sd_mm=sd, **others))
+    return with_frames(results, errors=errors.assign(tip_across_sd_mm=sd, **others))
 
 
 CURVES = dict.fromkeys(("straight", "constant_curvature", "linear_curvature"), (9.0, 0.0))
@@ -162,7 +162,7 @@ def with_line(fitted, straight, last=None, floor=0.22):
     """Return study 4 with tip errors, mm, of the fit and a straight line, and of that at the last needle."""
     errors = study(4).frames["errors"].assign(floor_te_mm=floor)
     asked = {**CURVES, "fitted": (fitted, 0.0), "straight": (straight, 0.0)}
-    results = with_tip_errors(study(4).with_frames(errors=errors), **asked)
+    results = with_tip_errors(with_frames(study(4), errors=errors), **asked)
     errors = results.frames["errors"]
     if last is not None:
         at = (errors["method"] == "straight") & (errors["insertion"] == errors["insertion"].iloc[-1])
@@ -228,7 +228,7 @@ def by_trials(results, count=None):
     """Give each prediction, or `count` of them, a fit and a specimen of its own."""
     predictive = results.frames["predictive"].iloc[:count]
     numbers = [str(number) for number in range(len(predictive))]
-    return results.with_frames(predictive=predictive.assign(fold=numbers, specimen=numbers))
+    return with_frames(results, predictive=predictive.assign(fold=numbers, specimen=numbers))
 
 
 def test_the_width_that_serves_for_aiming_is_a_key_of_the_recipe():
@@ -334,7 +334,7 @@ def test_the_crps_of_predicted_tips_is_judged_too():
     outcomes = []
     for crps in (0.1, 10.0):
         frames = {"errors": pd.concat([errors, ours]), "predictive": predictive.assign(tip_crps_mm=crps)}
-        outcomes.append(results.with_frames(**frames).verdicts[0].numbers["outcome"])
+        outcomes.append(with_frames(results, **frames).verdicts[0].numbers["outcome"])
     assert outcomes == ["generalises", "does not generalise"]
 
 
@@ -357,7 +357,7 @@ def test_tracks_are_judged_by_their_readings():
 def test_a_fit_is_compared_with_the_references_on_its_own_needles():
     results = with_tip_errors(study(1), **{**CURVES, "fitted": (0.1, 0.0), "straight": (0.05, 0.0)})
     results = with_predictions(results)  # which are of others
-    fit = results.with_frames(errors=results.frames["errors"].query("role == 'tune'"))
+    fit = with_frames(results, errors=results.frames["errors"].query("role == 'tune'"))
     found = find(fit, Check.CURVES)
     assert (found.passed, found.needles, found.closer, found.threshold) == (None, 9, 0, approx(0.05))
     assert Check.INTERVALS not in {one.check for one in list_checks(fit)}
@@ -368,7 +368,7 @@ def test_differences_are_tested_from_three_trials_on():
     errors = results.frames["errors"]
     third = errors["specimen"].unique()[2]
     outcomes = []
-    for one in (results, results.with_frames(errors=errors[errors["specimen"] != third])):
+    for one in (results, with_frames(results, errors=errors[errors["specimen"] != third])):
         judged = judge(one)
         outcomes.append((judged.trials, judged.outcome, judged.compared is None))
     assert outcomes == [(3, "generalises", True), (2, "closer than both", False)]
@@ -412,7 +412,7 @@ def test_a_margin_and_what_it_is_for_are_keys_of_the_study():
 
 def test_tips_without_an_interval_are_counted():
     results = with_predictions(study(3))
-    kept = results.with_frames(predictive=results.frames["predictive"].iloc[:-2])
+    kept = with_frames(results, predictive=results.frames["predictive"].iloc[:-2])
     for run, missing in ((results, 0), (kept, 2)):
         found = {one.check: one for one in list_checks(run)}
         assert found[Check.INTERVALS].missing == found[Check.COVERAGE_50].missing == missing
@@ -429,7 +429,7 @@ def test_tips_that_deflect_more_than_predicted_are_counted():
             tip_z_median_mm=0.0, tip_z_measured_mm=0.0, tip_z_95_low_mm=0.0, tip_z_95_high_mm=0.0
         )
         for rows in (shown, in_space):
-            found = {one.check: one for one in list_checks(study(1).with_frames(predictive=rows))}
+            found = {one.check: one for one in list_checks(with_frames(study(1), predictive=rows))}
             assert (found[Check.COVERAGE_50].beyond, found[Check.INTERVALS].beyond) == (3, None)
 
 
@@ -438,7 +438,7 @@ def test_pits_of_tips_are_toward_the_bevel_in_a_plane_and_as_stored_in_space():
     shapes = run.frames["shapes"].copy()
     turned = shapes["insertion"] == run.frames["predictive"]["insertion"].iloc[0]
     shapes.loc[turned, "measured_y_mm"] *= -1  # its deflection stays: its bevel faces the other side
-    mirrored = run.with_frames(shapes=shapes)
+    mirrored = with_frames(run, shapes=shapes)
     plain, other = orient_pits(run)["tip"], orient_pits(mirrored)["tip"]
     assert sorted({plain[0], other[0]}) == approx([0.1, 0.9])
     assert_allclose(other[1:], plain[1:])

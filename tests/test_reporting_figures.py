@@ -2,7 +2,7 @@
 
 import pytest
 from matplotlib.figure import Figure
-from reporting_results import study, with_predictions
+from reporting_results import study, with_frames, with_predictions
 
 from needlefit.reporting import fonts
 from needlefit.reporting.figures import style
@@ -34,7 +34,7 @@ def test_the_band_of_pit_values_is_that_of_independent_trials():
     ends = {}
     for specimens in (1, 2, 7):
         named = single.assign(specimen=[f"p{n % specimens}" for n in range(len(single))])
-        rows = draw_predictive_check(study(1).with_frames(predictive=named)).frame
+        rows = draw_predictive_check(with_frames(study(1), predictive=named)).frame
         ends[specimens] = rows[rows["mark"] == "band"]
     assert len(ends[1]) == 0
     assert ends[2]["low"].iloc[[0, -1]].tolist() == [0, 0.25]

@@ -5,7 +5,7 @@ import shutil
 
 import pandas as pd
 import pytest
-from reporting_results import study
+from reporting_results import study, with_frames
 
 from needlefit.metrics import METRICS, Metric
 from needlefit.studies.kinds.cross_validation.rows import FRAMES
@@ -39,6 +39,6 @@ def test_every_table_is_marked_synthetic(folder):
 def test_a_run_that_was_stopped_before_its_first_start_can_be_written(tmp_path):
     names = ("errors", "shapes", "parameters", "directions", "starts")
     nothing = {name: pd.DataFrame(columns=list(FRAMES[name])) for name in names}
-    files = write_run(study(1).with_frames(**nothing), tmp_path / "stopped")
+    files = write_run(with_frames(study(1), **nothing), tmp_path / "stopped")
     assert "report.pdf" in {path.name for path in files.iterdir()}
     assert "validation.csv" not in {path.name for path in files.iterdir()}

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from pytest import approx
-from reporting_results import study
+from reporting_results import study, with_frames
 
 from needlefit.datasets import paper
 from needlefit.reporting.latex import escape_latex, format_cell
@@ -44,7 +44,7 @@ def two_needles(errors_mm=(1.0, 3.0), deflections_mm=(2.0, 1.0), converged=(True
         }
         key = {name: row[name] for name in ("fold", "role", "insertion", "method", "boundaries")}
         shapes.append(pd.DataFrame(points).assign(j=np.arange(101), **key))
-    return study(1).with_frames(errors=pd.DataFrame(rows), shapes=pd.concat(shapes))
+    return with_frames(study(1), errors=pd.DataFrame(rows), shapes=pd.concat(shapes))
 
 
 def by_metric(frame, column="value"):
@@ -77,7 +77,7 @@ def test_baselines_are_compared_on_the_same_insertions():
     one = two_needles((1.0, 3.0))
     method = one.frames["errors"].assign(method="constant_curvature", te_mm=[0.5, 2.0])
     alone = one.frames["errors"].iloc[:1].assign(method="straight", te_mm=9.0)
-    both = one.with_frames(errors=pd.concat([one.frames["errors"], method, alone]))
+    both = with_frames(one, errors=pd.concat([one.frames["errors"], method, alone]))
     table = {row["method"]: row for row in to_records(compare_methods(both))}
     assert table["constant_curvature"]["difference_mm"] == approx((-0.5 - 1.0) / 2)
     assert table["constant_curvature"]["difference_se_mm"] == approx(0.25)
@@ -138,7 +138,7 @@ def test_of_several_folds_values_and_intervals_are_enveloped():
     two = {"fold": "two", "median": 0.2, "interval_low": 0.15, "interval_high": 0.25}
     folds = [{**row, **one}, {**row, **two, "determined": "only together"}]
     frame = pd.DataFrame(folds)
-    (cells,) = lay_out_parameters(results.with_frames(parameters=frame)).rows
+    (cells,) = lay_out_parameters(with_frames(results, parameters=frame)).rows
     (estimate,) = lay_out_estimates(frame).rows
     assert cells[2] == estimate[1] == "0.1 to 0.2 (0.08 to 0.25)"
 
@@ -149,7 +149,7 @@ def test_what_reaches_a_bound_or_follows_its_prior_is_not_determined():
     row = results.frames["parameters"].query("method == 'fitted' and parameter == 'mu1_pa'").iloc[0].to_dict()
     row |= {"interval_low": 1e4, "interval_high": 1e6, "determined": "no"}
     runs = [
-        results.with_frames(parameters=pd.DataFrame([{**row, **changes}]))
+        with_frames(results, parameters=pd.DataFrame([{**row, **changes}]))
         for changes in ({}, {"condition": FROM_PRIOR}, {"interval_high": row["bound_high"]})
     ]
     assert [len(list_undetermined(run)) for run in runs] == [0, 1, 1]
@@ -164,7 +164,7 @@ def test_a_value_that_is_read_in_another_unit_than_its_row_has_its_own():
     ends = {"status": "free", "median": 7.64e2, "interval_low": 4e2, "interval_high": 9e2}
     least = {"method": "fitted_metric", "value": 1e8, "low": 500.0, "high": 5e8, "bound_high": 1e9}
     frame = pd.DataFrame([{**ours, **ends}, {**ours, **ends, **least}])
-    (cells,) = lay_out_parameters(results.with_frames(parameters=frame)).rows
+    (cells,) = lay_out_parameters(with_frames(results, parameters=frame)).rows
     assert "100 MPa (0.5 to 500 MPa)" in cells
 
 

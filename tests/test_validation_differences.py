@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from made_again import store
-from reporting_results import study
+from reporting_results import study, with_frames
 
 from needlefit.errors import DataError
 from needlefit.project.folders import write_manifest
@@ -16,7 +16,7 @@ ERRORS = RUN.frames["errors"]
 
 def write(folder, changed=RUN, **frames):
     folder.mkdir(parents=True)
-    store(changed.with_frames(**frames), folder)
+    store(with_frames(changed, **frames), folder)
     write_json(folder / "run.json", changed.run_json)
     write_manifest(folder)
     return folder

@@ -135,10 +135,6 @@ class Run:
         """Return the run, which also knows what is stated."""
         return replace(self, metadata=self.metadata.state(**stated))
 
-    def with_frames(self, **frames: pd.DataFrame) -> Self:
-        """Return the run with some tables replaced."""
-        return replace(self, frames={**self.frames, **frames})
-
     @property
     def title(self) -> str:
         return str(getattr(self.record, "title", "") or self.name)
