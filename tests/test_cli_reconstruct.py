@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from made_again import read_files
+from pytest import approx
 from reading_here import child_process_reader, read_here  # noqa: F401
 from scanner.write import write_volume
 from test_cli import run
@@ -63,8 +64,8 @@ def test_a_scan_becomes_a_checked_dataset(world):
     dataset = read_dataset(done)
     (insertion,) = dataset.insertions
     assert dataset.origin == "synthetic"  # as the table of scans says
-    assert insertion.depth == pytest.approx(25.0, abs=0.3)
-    assert insertion.boundaries == pytest.approx([19.0], abs=0.3)
+    assert insertion.depth == approx(25.0, abs=0.3)
+    assert insertion.boundaries == approx([19.0], abs=0.3)
     assert insertion.sd is not None and (insertion.sd > 0).all() and insertion.sd.max() < 0.1
     assert insertion.pose_source == "stage"
     on_scan = insertion.patient.to_local(insertion.centerline)
@@ -78,8 +79,8 @@ def test_a_scan_becomes_a_checked_dataset(world):
     scans, markers, crossings = (pd.read_csv(done / f"{name}.csv") for name in names)
     assert len(scans) == 1 and scans.loc[0, "markers_paired"] == len(markers) >= 4
     gaps = np.linalg.norm(markers[[f"residual_{axis}_mm" for axis in "xyz"]], axis=1)
-    assert markers["residual_mm"].to_numpy() == pytest.approx(gaps, rel=1e-4)
-    assert scans.loc[0, "fre_mm"] == pytest.approx(np.sqrt(np.mean(gaps**2)), rel=1e-4)
+    assert markers["residual_mm"].to_numpy() == approx(gaps, rel=1e-4)
+    assert scans.loc[0, "fre_mm"] == approx(np.sqrt(np.mean(gaps**2)), rel=1e-4)
     assert crossings[["out_of", "into"]].to_numpy().tolist() == [[1, 2]]
 
 
@@ -91,11 +92,11 @@ def test_a_scan_alone_gives_its_tip_and_a_scene(tmp_path, monkeypatch, capsys):
     row = pd.read_csv("sample-dataset/reconstruction.csv").iloc[0]
     (insertion,) = read_dataset(Path("sample-dataset")).insertions
     tip = row[["tip_l_mm", "tip_p_mm", "tip_s_mm"]].to_numpy(dtype=float)
-    assert insertion.centerline[-1] == pytest.approx(tip, abs=1e-3)  # without markers the world is the scan
+    assert insertion.centerline[-1] == approx(tip, abs=1e-3)  # without markers the world is the scan
     assert all(f"{abs(one):.2f}" in printed for one in (*tip, row["depth_mm"], 1.27))
     assert np.isnan(row["markers_paired"])
     scene = load(Path("sample-dataset/scenes/sample.toml"), SceneRecord)
-    assert scene.depth_mm == pytest.approx(row["depth_mm"], abs=1e-3)
+    assert scene.depth_mm == approx(row["depth_mm"], abs=1e-3)
     (proposed,) = (line.partition("needlefit ")[2] for line in printed.splitlines() if "predict" in line)
     assert run(*shlex.split(proposed), "-q") == 0  # as it is printed, from this folder
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from pytest import approx
 from test_datasets import CURVE, X, record, row
 
 from needlefit.datasets.bend_sides import measure_bends
@@ -277,11 +278,11 @@ def test_tips_out_of_the_planes_of_their_bevels_come_with_the_direction_that_fit
     path = write_rows(tmp_path, *rows, curves=dict.fromkeys("abc", curve))
     found = [one for one in find_warnings(path) if one.kind == "bevel_plane"]
     away = {name: mm for name, mm, _ in measure_out_of_plane(read(path))}
-    assert away["a"] == pytest.approx(3.0 * np.sin(tilt), abs=1e-3)
+    assert away["a"] == approx(3.0 * np.sin(tilt), abs=1e-3)
     assert len(found) == (turn > 0)
     for one in found:  # the roll of each, then the direction of all
         *_, x, y, z = (float(number) for number in re.findall(r"-?\d\.\d+", one.fix))
-        assert [x, y, z] == pytest.approx([0.0, np.cos(tilt), np.sin(tilt)], abs=0.02) and "35 (a)" in one.fix
+        assert [x, y, z] == approx([0.0, np.cos(tilt), np.sin(tilt)], abs=0.02) and "35 (a)" in one.fix
 
 
 @pytest.mark.parametrize("twist", [0.0, 1.0])
@@ -346,7 +347,7 @@ def test_points_that_scatter_more_or_less_than_their_stated_noise_contradict_it(
         {},
     )
     assert sum(one.kind in ("noise", "units") for one in find_warnings(path)) == count
-    assert measure_scatter(read(path).insertions[0]) == pytest.approx(0.04, rel=0.25)
+    assert measure_scatter(read(path).insertions[0]) == approx(0.04, rel=0.25)
 
 
 def test_names_that_differ_by_case_alone_are_faults(tmp_path):

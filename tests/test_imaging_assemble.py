@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from pytest import approx
 
 from needlefit.datasets.read import check, read
 from needlefit.errors import DataError
@@ -51,16 +52,16 @@ def test_the_dataset_records_what_was_reconstructed(tmp_path):
     first, _ = dataset.insertions
     one = small()
     assert (dataset.origin, dataset.title) == ("synthetic", "Mine")
-    assert first.centerline == pytest.approx(one.points, abs=1e-4)
-    assert first.sd == pytest.approx(one.sd, abs=1e-4)
-    assert first.patient.rotation == pytest.approx(one.patient.rotation, abs=1e-7)
-    assert first.boundaries == pytest.approx(one.layers.boundaries, abs=2e-3)
-    assert first.boundary_sd == pytest.approx(one.layers.sd[0], abs=1e-4)
-    assert first.depth_sd == pytest.approx(one.depth_sd, abs=1e-4)
-    assert first.pose_shift_sd == pytest.approx(one.pose.shift_sd, abs=1e-4)
+    assert first.centerline == approx(one.points, abs=1e-4)
+    assert first.sd == approx(one.sd, abs=1e-4)
+    assert first.patient.rotation == approx(one.patient.rotation, abs=1e-7)
+    assert first.boundaries == approx(one.layers.boundaries, abs=2e-3)
+    assert first.boundary_sd == approx(one.layers.sd[0], abs=1e-4)
+    assert first.depth_sd == approx(one.depth_sd, abs=1e-4)
+    assert first.pose_shift_sd == approx(one.pose.shift_sd, abs=1e-4)
     assert first.pose_source == "shaft"
-    assert dataset.noise.registration_mean == pytest.approx(one.target_error.mean(), abs=1e-4)
-    assert dataset.noise.correlated_sd == pytest.approx(np.sqrt(np.mean(one.sd**2)), abs=1e-4)
+    assert dataset.noise.registration_mean == approx(one.target_error.mean(), abs=1e-4)
+    assert dataset.noise.correlated_sd == approx(np.sqrt(np.mean(one.sd**2)), abs=1e-4)
 
 
 def test_surfaces_that_all_share_are_written_once_others_for_each(tmp_path):
@@ -71,7 +72,7 @@ def test_surfaces_that_all_share_are_written_once_others_for_each(tmp_path):
     assert sorted(file.name for file in (tmp_path / "own" / "layers").iterdir()) == ["a_1.stl", "b_1.stl"]
     assert check(tmp_path / "own") == []
     a, b = read(tmp_path / "own").insertions
-    assert b.boundaries - a.boundaries == pytest.approx([0.5], abs=0.02)
+    assert b.boundaries - a.boundaries == approx([0.5], abs=0.02)
 
 
 def with_surfaces(name, medium, *names):

@@ -10,6 +10,8 @@ import ct_cases as cases
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
+from pytest import approx
 from reading_here import child_process_reader, read_here  # noqa: F401
 from refusals import refusal
 from scanner.write import write_volume
@@ -58,11 +60,11 @@ def shift(*labels, by=(0.5, 0, 0)):
 
 def test_what_was_moved_or_added_is_a_correction_and_nothing_else(file):
     found = read_corrections(change(file, shift("tip", by=(0, 0, -2))))["s1"]
-    np.testing.assert_allclose(found.tip, NEEDLE[-1] - [0, 0, 2], atol=1e-3)
+    assert_allclose(found.tip, NEEDLE[-1] - [0, 0, 2], atol=1e-3)
     assert found.axis is found.entry is found.balls is None
     found = read_corrections(change(file, shift("axis 2", "axis 3", "axis 7", "ball 1")))["s1"]
     assert found.axis.shape == (3, 3) and found.tip is not None
-    np.testing.assert_allclose(found.balls, BALLS + np.eye(4, 1) * [0.5, 0, 0], atol=1e-3)
+    assert_allclose(found.balls, BALLS + np.eye(4, 1) * [0.5, 0, 0], atol=1e-3)
 
     def add(one, _):
         one["controlPoints"] += [
@@ -88,10 +90,10 @@ def test_a_needle_whose_ends_lie_in_tissue_is_placed_as_its_refusal_offers(tmp_p
     assert len(failed.picture.views) == 2 and np.ptp(failed.picture.curve[:, 0]) > 25
     placed = Corrections(tip=truth[-1], entry=cases.ENTRY + np.array([0, 0, 8]))
     (one,) = reconstruct_needles(replace(scan, corrections=placed), cases.RECIPE)
-    assert one.depth == pytest.approx(20.0, abs=0.3)
+    assert one.depth == approx(20.0, abs=0.3)
     placed = replace(placed, axis=truth[[4, 20, 40]])
     (one,) = reconstruct_needles(replace(scan, corrections=placed), cases.RECIPE)
-    assert one.depth == pytest.approx(20.0, abs=0.3) and "axis" in one.warnings[0]
+    assert one.depth == approx(20.0, abs=0.3) and "axis" in one.warnings[0]
 
 
 def test_a_file_in_ras_is_turned_and_one_without_a_system_refused(file):
@@ -101,7 +103,7 @@ def test_a_file_in_ras_is_turned_and_one_without_a_system_refused(file):
             point["position"] = (np.array(point["position"]) * [-1, -1, 1]).tolist()
 
     found = read_corrections(change(change(file, turn), shift("tip", by=(-1, 0, 0))))["s1"]
-    np.testing.assert_allclose(found.tip, NEEDLE[-1] + [1, 0, 0], atol=1e-3)
+    assert_allclose(found.tip, NEEDLE[-1] + [1, 0, 0], atol=1e-3)
     change(file, lambda one, _: one.pop("coordinateSystem"))
     assert "coordinateSystem" in refusal(DataError, "", read_corrections, file).what
 
@@ -158,15 +160,15 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
     points = Path("asked.refused/slicer/plate.corrections.mrk.json")
     (one,) = json.loads(points.read_text())["markups"]
     (entry,) = (point["position"] for point in one["controlPoints"] if point["label"] == "entry")
-    np.testing.assert_allclose(entry, cases.ENTRY, atol=0.1)
+    assert_allclose(entry, cases.ENTRY, atol=0.1)
     assert run(*shlex.split(command)[1:]) == 0  # as it is printed
     offered = pd.read_csv("asked/reconstruction.csv").iloc[0]
-    assert offered["depth_mm"] == pytest.approx(28.0, abs=0.2) and "confirmed" in offered["warnings"]
+    assert offered["depth_mm"] == approx(28.0, abs=0.2) and "confirmed" in offered["warnings"]
     assert [*tomllib.loads(Path("asked/dataset.toml").read_text())["import"]["confirmed"]] == [
         "entry of plate"
     ]
     assert run(*words, "behind", "--confirm", "entry=2") == 0
     behind = pd.read_csv("behind/reconstruction.csv").iloc[0]
-    assert behind["depth_mm"] == pytest.approx(14.0, abs=0.6)
+    assert behind["depth_mm"] == approx(14.0, abs=0.6)
     assert run(*words, "none", "--confirm", "entry=3") == 3
     assert run(*words, "other", "--confirm", "axis") == 2

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from layer_cases import save_mesh
 from numpy.testing import assert_allclose
+from pytest import approx
 from refusals import refusal
 from scanner.write import write_volume
 from scipy.special import ndtr
@@ -50,8 +51,8 @@ def axis(direction):
 def test_an_unbent_shaft_is_its_own_axis_and_the_final_tangent_is_not():
     direction = axis([1.0, 0.2, -0.1])
     pose = pose_from_shaft(shaft([3.0, -2.0, 5.0], direction), along_sd=0.1)
-    assert pose.origin == pytest.approx([3.0, -2.0, 5.0], abs=1e-9)
-    assert pose.direction == pytest.approx(direction, abs=1e-9)
+    assert pose.origin == approx([3.0, -2.0, 5.0], abs=1e-9)
+    assert pose.direction == approx(direction, abs=1e-9)
     assert (pose.source, pose.along_sd) == ("shaft", 0.1)
     # Moved by 0.14 mm and turned by 1.3 degrees at the entry, as at 53 mm of depth.
     direction = axis([1.0, 0.0, 0.0])
@@ -89,9 +90,9 @@ def pose(origin=(0.0, 0, 0), direction=(1.0, 0, 0), shift_sd=0.3, angle_sd=0.02)
 def test_stage_and_shaft_are_compared_across_the_axis_and_refused_where_they_differ():
     stage, shaft = pose(shift_sd=0.4), pose((7.0, 0.6, 0.8), (1.0, 0.0, 0.1))
     worst, _ = compare_poses(stage, shaft)
-    assert worst == pytest.approx(np.arctan(0.1) / np.hypot(0.02, 0.02))
+    assert worst == approx(np.arctan(0.1) / np.hypot(0.02, 0.02))
     worst, _ = compare_poses(stage, pose((7.0, 0.6, 0.8)))
-    assert worst == pytest.approx(1.0 / 0.5)  # 7 mm along the axis do not count
+    assert worst == approx(1.0 / 0.5)  # 7 mm along the axis do not count
     for shaft in [pose((0.0, 5.0, 0)), pose(direction=(1.0, 0.4, 0)), pose(direction=(1.0, 0, -0.4))]:
         with pytest.raises(DataError, match="outside the tissue") as error:
             compare_poses(pose(), shaft)
@@ -277,4 +278,4 @@ def test_a_contact_lies_before_the_tip(before_tip, words):
         assert found.error is not None and re.search(words, found.error.what)
     else:
         assert found.reconstruction is not None
-        assert found.reconstruction.depth == pytest.approx(before_tip, abs=0.15)
+        assert found.reconstruction.depth == approx(before_tip, abs=0.15)

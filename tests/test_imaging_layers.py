@@ -19,6 +19,8 @@ from layer_cases import (
     save_segments,
     scan,
 )
+from numpy.testing import assert_allclose
+from pytest import approx
 from reading_here import child_process_reader, read_here  # noqa: F401 - fixtures
 from refusals import refusal
 
@@ -128,8 +130,8 @@ def test_meshes_are_numbered_and_brought_into_the_world(tmp_path):
     file = files[1]
     [there] = read_layers(scan(file, surfaces_in="scan"), PATIENT)
     [here] = read_layers(scan(file), PATIENT)
-    np.testing.assert_allclose(there.vertices, PATIENT.to_world(here.vertices), atol=1e-9)
-    np.testing.assert_allclose([here.vertices.min(axis=0), here.vertices.max(axis=0)], CORE.bounds, atol=1e-4)
+    assert_allclose(there.vertices, PATIENT.to_world(here.vertices), atol=1e-9)
+    assert_allclose([here.vertices.min(axis=0), here.vertices.max(axis=0)], CORE.bounds, atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -174,21 +176,21 @@ def tilted(degrees):
 def test_depths_count_along_c_and_deviations_grow_as_the_needle_grazes(tmp_path):
     frame = Frame(np.array([-2.0, 0, 0]), np.eye(3))
     layers = find_crossed_layers(NEEDLE, frame, (tilted(0), tilted(40)), EXACT)
-    assert layers.boundaries == pytest.approx([12.0]) and layers.sequence == (1, 2)
-    np.testing.assert_allclose(layers.points, [[10, 0, 0]], atol=1e-9)
+    assert layers.boundaries == approx([12.0]) and layers.sequence == (1, 2)
+    assert_allclose(layers.points, [[10, 0, 0]], atol=1e-9)
     # A surface's own counts by 1 / cos, one across the needle by the tangent of the angle.
     for degrees in [0.0, 30.0, 60.0]:
         angle = math.radians(degrees)
         own = find_crossed_layers(NEEDLE, HOME, (tilted(degrees),), LayerErrors(0.1, np.zeros(len(NEEDLE))))
-        assert own.sd[0] == pytest.approx(0.1 / math.cos(angle), rel=1e-6)
+        assert own.sd[0] == approx(0.1 / math.cos(angle), rel=1e-6)
         across = find_crossed_layers(
             NEEDLE, HOME, (tilted(degrees),), LayerErrors(0.0, np.full(len(NEEDLE), 0.2))
         )
-        assert across.sd[0] == pytest.approx(0.2 * math.tan(angle), abs=1e-9)
+        assert across.sd[0] == approx(0.2 * math.tan(angle), abs=1e-9)
     layers = find_crossed_layers(NEEDLE, HOME, (tilted(89.9),), LayerErrors(0.1, np.zeros(len(NEEDLE))))
-    assert layers.sd[0] == pytest.approx(0.1 / 0.02)
+    assert layers.sd[0] == approx(0.1 / 0.02)
     errors = LayerErrors(0.4, np.zeros(len(NEEDLE)), along=0.3)
-    assert find_crossed_layers(NEEDLE, HOME, (tilted(0),), errors).sd[0] == pytest.approx(0.5)
+    assert find_crossed_layers(NEEDLE, HOME, (tilted(0),), errors).sd[0] == approx(0.5)
 
 
 @pytest.fixture(scope="module")
@@ -203,10 +205,10 @@ def test_errors_of_the_registration_count_across_the_needle_and_surfaces_move_wi
     shifted, slabs_file, tmp_path
 ):
     errors = LayerErrors(0.4, np.zeros(len(NEEDLE)), registration=shifted)
-    assert find_crossed_layers(NEEDLE, HOME, (tilted(0),), errors).sd[0] == pytest.approx(0.4)
+    assert find_crossed_layers(NEEDLE, HOME, (tilted(0),), errors).sd[0] == approx(0.4)
     tilt = math.radians(60)
     expected = math.hypot(0.4, 0.3 * math.sin(tilt)) / math.cos(tilt)
-    assert find_crossed_layers(NEEDLE, HOME, (tilted(60),), errors).sd[0] == pytest.approx(expected)
+    assert find_crossed_layers(NEEDLE, HOME, (tilted(60),), errors).sd[0] == approx(expected)
     recipe, sd = ReconstructionRecord(schema=1), np.zeros(3)
     mesh = save_mesh(tmp_path / "core.stl", CORE)
     pose = EntryPose(np.zeros(3), np.array([1.0, 0, 0]), "shaft", 0.1, 0.01, 0.2)
@@ -219,7 +221,7 @@ def test_errors_of_the_registration_count_across_the_needle_and_surfaces_move_wi
         errors = estimate_layer_errors(one, recipe, sd, pose, shifted)
         assert (errors.registration is not None) == with_registration
         assert errors.surface == 0.1
-        assert errors.along == pytest.approx(along)
+        assert errors.along == approx(along)
 
 
 def check(scan, layers):

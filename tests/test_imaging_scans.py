@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from refusals import refusal
 
 from needlefit.errors import DataError
@@ -61,10 +62,10 @@ def test_every_column_comes_through_and_has_a_default(folder):
     assert scan.surfaces == (LayerSource(folder / "skin.stl"), LayerSource(folder / "core.stl", "solid", 4))
     assert (scan.surfaces_in, scan.side, scan.layers, scan.layers_alternative) == ("scan", -1, 3, 4)
     assert (scan.guide_distance, scan.origin) == (30.0, "synthetic")
-    np.testing.assert_array_equal(scan.stage.entry, [1, 2, 3])
+    assert_array_equal(scan.stage.entry, [1, 2, 3])
     np.testing.assert_allclose(scan.stage.direction, [0, 0.6, 0.8])
     assert (scan.stage.shift_sd, scan.stage.angle_sd) == (0.1, pytest.approx(1.5 * np.pi / 180))
-    np.testing.assert_array_equal(scan.bevel, [0, 0, 1])
+    assert_array_equal(scan.bevel, [0, 0, 1])
 
 
 @pytest.mark.parametrize(

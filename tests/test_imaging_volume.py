@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pytest import approx
 from reading_here import child_process_reader, read_here  # noqa: F401
 from refusals import refused_file
 from scanner.write import write_volume
@@ -96,9 +97,9 @@ def test_known_points_and_invalid_volumes():
     # i runs to the back, j down, k to the left; values are [slice, row, column].
     direction = np.array([[0, 0, 1], [1, 0, 0], [0, -1, 0]], dtype=float)
     volume = volume_of(VALUES, direction)
-    assert to_patient(volume, [[3, 2, 1]])[0] == pytest.approx([1 + 0.9, 2 + 1.2, 3 - 1.0])
+    assert to_patient(volume, [[3, 2, 1]])[0] == approx([1 + 0.9, 2 + 1.2, 3 - 1.0])
     assert volume.grid.size == (4, 3, 2)
-    assert to_index(volume, [[1.9, 3.2, 2.0]])[0] == pytest.approx([3, 2, 1])
+    assert to_index(volume, [[1.9, 3.2, 2.0]])[0] == approx([3, 2, 1])
     for wrong, words in [
         ({"values": np.zeros((3, 3))}, "have 2 axes"),
         ({"values": np.zeros((3, 3, 1))}, "1 x 3 x 3 voxels"),
@@ -116,9 +117,9 @@ def test_known_points_and_invalid_volumes():
 
 def check_plain(volume, direction=(1, 1, 1), origin=CORNER):
     assert volume.values.dtype == np.float32 and np.array_equal(volume.values, VALUES)
-    assert volume.spacing == pytest.approx(STEPS, abs=1e-7)
-    assert volume.origin == pytest.approx(origin, abs=1e-6)
-    assert volume.direction == pytest.approx(np.diag(np.array(direction, dtype=float)), abs=1e-7)
+    assert volume.spacing == approx(STEPS, abs=1e-7)
+    assert volume.origin == approx(origin, abs=1e-6)
+    assert volume.direction == approx(np.diag(np.array(direction, dtype=float)), abs=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -225,10 +226,10 @@ def test_slices_of_a_tilted_gantry_stand_where_their_affine_says(tmp_path, name)
         volume = read_volume(nifti(tmp_path / name, affine=affine, pixdim=[1, 0.4, 0.5, 0.9, 1, 1, 1, 1]))
     else:
         volume = read_volume(nrrd(tmp_path / name, space_directions=f"(0.4,0,0) (0,0.5,0) (0,{lean},0.9)"))
-    assert to_patient(volume, [[2, 1, 1]])[0] == pytest.approx(signs * [1.8, 2.5 + lean, 3.9], abs=1e-5)
-    assert to_index(volume, to_patient(volume, [[2.5, 1.25, 0.75]]))[0] == pytest.approx([2.5, 1.25, 0.75])
-    assert volume.grid.slice_distance == pytest.approx(0.9, abs=1e-6)
-    assert volume.grid.normal == pytest.approx([0, 0, 1], abs=1e-6)
+    assert to_patient(volume, [[2, 1, 1]])[0] == approx(signs * [1.8, 2.5 + lean, 3.9], abs=1e-5)
+    assert to_index(volume, to_patient(volume, [[2.5, 1.25, 0.75]]))[0] == approx([2.5, 1.25, 0.75])
+    assert volume.grid.slice_distance == approx(0.9, abs=1e-6)
+    assert volume.grid.normal == approx([0, 0, 1], abs=1e-6)
     assert np.array_equal(volume.values, VALUES)
 
 

@@ -15,6 +15,7 @@ from pydicom.uid import (
     SecondaryCaptureImageStorage,
     generate_uid,
 )
+from pytest import approx
 from reading_here import child_process_reader, read_here  # noqa: F401
 from refusals import refused_file
 from scipy.spatial.transform import Rotation
@@ -53,7 +54,7 @@ def test_positions_orientation_and_rescaling_of_slices(tmp_path):
     slices = [a_slice(k, ImagePositionPatient=position) for k, position in enumerate(positions)]
     volume = read_volume(save(tmp_path, slices))
     assert np.array_equal(volume.values, NUMBERS[::-1])
-    assert volume.origin == pytest.approx(positions[-1])
+    assert volume.origin == approx(positions[-1])
     (tmp_path := tmp_path / "d").mkdir()
     slices = [a_slice(k, RescaleSlope=str(0.5 + 0.25 * k), RescaleIntercept=-1024.5) for k in range(COUNT)]
     values = read_volume(save(tmp_path, slices)).values
@@ -147,10 +148,10 @@ def test_a_tilted_gantry_is_read_where_the_slices_stand(tmp_path):
     tilt = np.radians(-15.0)
     volume = read_volume(save(tmp_path, turned_slices(tilt, [0, 0, 2])))
     assert np.array_equal(volume.values, NUMBERS) and not volume.warnings
-    assert volume.grid.slice_distance == pytest.approx(2 * np.cos(tilt), abs=1e-6)
+    assert volume.grid.slice_distance == approx(2 * np.cos(tilt), abs=1e-6)
     expected = [0.8, 0.5 * np.cos(tilt), 0.5 * np.sin(tilt) + 6]
-    assert to_patient(volume, [[2, 1, 3]])[0] == pytest.approx(expected, abs=1e-5)
-    assert to_index(volume, [expected])[0] == pytest.approx([2, 1, 3], abs=1e-5)
+    assert to_patient(volume, [[2, 1, 3]])[0] == approx(expected, abs=1e-5)
+    assert to_index(volume, [expected])[0] == approx([2, 1, 3], abs=1e-5)
 
 
 def test_rounded_headers_of_an_oblique_stack_are_read(tmp_path):
@@ -161,7 +162,7 @@ def test_rounded_headers_of_an_oblique_stack_are_read(tmp_path):
     places = [[f"{x:.{place}f}" for x in origin + 0.6 * k * turn[:, 2]] for k in range(count)]
     pages = [a_slice(0, NUMBERS[0], ImagePositionPatient=at, ImageOrientationPatient=stated) for at in places]
     volume = read_volume(save(tmp_path, pages))
-    assert volume.direction.T @ volume.direction == pytest.approx(np.eye(3), abs=1e-9)
+    assert volume.direction.T @ volume.direction == approx(np.eye(3), abs=1e-9)
     corners = np.array([[0, 0, 0], [COLUMNS - 1, ROWS - 1, count - 1], [COLUMNS - 1, 0, 0]])
     true = corners * [0.4, 0.5, 0.6] @ turn.T + origin
     assert np.linalg.norm(to_patient(volume, corners) - true, axis=1).max() < allowed
@@ -280,9 +281,9 @@ def test_every_voxel_keeps_its_position(tmp_path_factory, seed, flip):
     volume = turned(seed, flip=flip)
     save_volume(folder, volume)
     again = read_volume(folder)
-    assert np.linalg.det(again.direction) == pytest.approx(1.0)
+    assert np.linalg.det(again.direction) == approx(1.0)
     assert np.array_equal(again.values[::-1] if flip else again.values, volume.values)
     here = np.argwhere(np.ones(volume.values.shape))[:, ::-1]
     there = to_index(again, to_patient(volume, here))
-    assert again.values[tuple(np.rint(there[:, ::-1]).astype(int).T)] == pytest.approx(volume.values.ravel())
+    assert again.values[tuple(np.rint(there[:, ::-1]).astype(int).T)] == approx(volume.values.ravel())
     assert np.abs(to_patient(again, np.rint(there)) - to_patient(volume, here)).max() < 1e-5

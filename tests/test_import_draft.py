@@ -3,7 +3,6 @@
 import json
 import re
 import shlex
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,8 @@ from import_cases import (
     write_rows,
     write_sheets,
 )
+from numpy.testing import assert_allclose
+from pytest import approx
 from refusals import refusal
 
 from needlefit.datasets.importing.meanings import read_header, translate_side
@@ -68,73 +69,23 @@ def test_separator_decimal_sign_and_encoding_are_found(tmp_path, encoding, separ
     (tmp_path / "a.txt").write_bytes("\n".join([separator.join("xyz"), *lines]).encode(encoding))
     curves, draft = curves_of([tmp_path / "a.txt"])
     assert (draft.tables[0]["separator"], draft.tables[0]["decimal"]) == (separator, decimal)
-    np.testing.assert_allclose(curves["a"].line, NEEDLES[0], atol=1e-3)
+    assert_allclose(curves["a"].line, NEEDLES[0], atol=1e-3)
 
 
-# ---- files that misled: what is asked, and that the printed fix reads them
-
-ASKED = {
-    "camera_tips.csv": "medium.column",
-    "d07_mean_sd.csv": "point_sd",
-    "d12_tissueE.csv": "modulus",
-    "d21_trackmate.csv": "holds",
-    "m1.csv": "deflection.column",
-    "m3.csv": "deflection.column",
-    "n29_entry_tip.csv": "pose",
-    "posearray.csv": "layout",
-    "matrices.csv": "holds",
-    "bevel_angle.csv": "bevel_side",
-    "photo_1.csv": "unit",
-    "curvatures_from_base.csv": "curvature_z.column",
-}
-VALUES = {
-    "pose": "1,0,0",
-    "bevel": "0,1,0",
-    "unit": "0.0704 mm",
-    "posearray.csv.unit": "m",
-    "curvature_z.column": "curvature_x [1/m]",
-}
-
-
-def take_fix(fix, name):
-    """Return the first alternative of a fix as keys and values."""
-    words = shlex.split(re.split(r", or | or --set|; state", fix)[0])
-    pairs = [word.partition("=") for before, word in pairwise(words) if before == "--set"]
-    return [
-        (key, VALUES.get(f"{name}.{key}", VALUES.get(key, "1")) if value == "VALUE" else value)
-        for key, _, value in pairs
-    ]
-
-
-@pytest.mark.parametrize("name", ASKED)
-def test_what_only_a_person_knows_is_asked_and_the_printed_fix_reads_the_file(name):
-    stated, error = [], refusal(DataError, "", prepare_import, [CASES / name])
-    assert f"--set {ASKED[name]}" in error.fix or f"--set '{ASKED[name]}" in error.fix
-    for _ in range(4):
-        stated += take_fix(error.fix, name)
-        try:
-            prepared = prepare_import([CASES / name], stated)
-        except DataError as again:
-            if "inserted length" in str(again):  # of curvatures, which are in another file
-                return
-            assert again.fix != error.fix
-            error = again
-        else:
-            break
-    assert prepared.content.curves and not {key for key, _ in stated} & prepared.mapping.assumed.keys()
+# ---- single files
 
 
 def test_known_answers_of_single_files():
     plan, made = planned([CASES / "matrices.csv"], holds="tracks")
     assert made["pose"] == ("1,0,0", "assumed") and plan.rows[0].entry is None
     content = prepare([CASES / "m3.csv"], deflection__column="lateral [mm]").content
-    np.testing.assert_allclose(content.curves[0].line[:4, 0], [0.5, 0.1, 0.15, 0.2])
+    assert_allclose(content.curves[0].line[:4, 0], [0.5, 0.1, 0.15, 0.2])
     sds = prepare([CASES / "d07_mean_sd.csv"], point_sd__column="SD [mm]", point_sd__divide_by_root="n")
-    assert sds.plan.point_sd_mm == pytest.approx(0.12 / np.sqrt(5))
+    assert sds.plan.point_sd_mm == approx(0.12 / np.sqrt(5))
     clock = planned([CASES / "d24_tips_clock.csv"])[0].rows
     toward = [(row.bevel * row.side).round(6).tolist() for row in clock[:4]]
     assert toward == [[0, 1, 0], [0, 0, 1], [0, -1, 0], [0, 0, -1]]
-    assert [row.tip_y * row.side for row in clock[:4]] == pytest.approx([0.56, 0.68, 0.84, 0.90])
+    assert [row.tip_y * row.side for row in clock[:4]] == approx([0.56, 0.68, 0.84, 0.90])
 
 
 # ---- a table of tables
@@ -175,17 +126,17 @@ def test_tables_are_read_as_they_are_meant(tmp_path, case):
         if isinstance(right[0], str):
             assert found == right
         else:
-            np.testing.assert_allclose(np.array(found), right, atol=0.5 if name == "depth" else 1e-3)
+            assert_allclose(np.array(found), right, atol=0.5 if name == "depth" else 1e-3)
     for name, right in case.get("first", {}).items():
-        assert getattr(plan.rows[0], name) == pytest.approx(right)
+        assert getattr(plan.rows[0], name) == approx(right)
     for name, right in case.get("needle", {}).items():
-        assert getattr(plan.needle, name) == pytest.approx(right) and not plan.needles
+        assert getattr(plan.needle, name) == approx(right) and not plan.needles
     if "last" in case:
         ends = [curve.line[-1] for curve in prepared.content.curves]
-        np.testing.assert_allclose(ends, case["last"], atol=1e-3)
+        assert_allclose(ends, case["last"], atol=1e-3)
     if "sensors" in case:
         sensors = [np.array(curve.sensors)[:, :3] for curve in prepared.content.curves]
-        np.testing.assert_allclose(sensors, case["sensors"])
+        assert_allclose(sensors, case["sensors"])
     if "moduli" in case:
         needles = [plan.needles.get(row.needle, plan.needle) for row in plan.rows]
         assert [one.youngs_modulus_gpa for one in needles] == case["moduli"]
@@ -238,7 +189,7 @@ def test_what_labs_use_in_two_ways_is_asked(tmp_path, answer):
     prepared = prepare_import([file], stated)
     for n, curve in enumerate(prepared.content.curves):
         left_out = [k for m, k in FLAGGED if m == n and answer == "excluded"]
-        np.testing.assert_allclose(curve.line, np.delete(NEEDLES[n], left_out, axis=0))
+        assert_allclose(curve.line, np.delete(NEEDLES[n], left_out, axis=0))
     sides = [1, -1, 1] if answer.startswith("bevel_side") else [1, 1, 1]
     assert [row.side for row in prepared.plan.rows] == sides
     if answer == "specimen.column":
@@ -281,7 +232,7 @@ def test_the_first_of_names_and_values_may_end_in_a_word_that_is_a_unit(tmp_path
     plan = prepare([curves, setup], pose="1,0,0").plan
     assert plan.boundaries_mm == {"medium1": (10.0, 25.0)}
     needle = plan.needle
-    assert (needle.outer_diameter_mm, needle.youngs_modulus_gpa) == pytest.approx((0.718, 75.0), abs=1e-3)
+    assert (needle.outer_diameter_mm, needle.youngs_modulus_gpa) == approx((0.718, 75.0), abs=1e-3)
 
 
 @pytest.mark.parametrize("pose", ["1,0,0", "free"])
@@ -313,7 +264,7 @@ def test_thousands_and_exponents_of_other_programs(tmp_path, separator, make):
     lines = [separator.join(row) for row in [["needle", "x[um]", "y[um]", "z[um]"], *rows]]
     (tmp_path / "a.dat").write_text("\n".join(lines))
     for curve, wanted in zip(curves_of([tmp_path / "a.dat"])[0].values(), NEEDLES, strict=True):
-        np.testing.assert_allclose(curve.line, wanted, atol=1e-4)
+        assert_allclose(curve.line, wanted, atol=1e-4)
 
 
 # ---- what is assumed, and not used
@@ -326,9 +277,7 @@ def test_a_stated_column_is_used(tmp_path):
     curves, _ = curves_of([tmp_path / "a.csv"], needle__column="Serie", holds="shapes")
     assert [*curves] == ["0", "1", "2"]
     numbers = {"needle__column": "1", "x__column": "3", "y__column": "5", "z__column": "4", "holds": "shapes"}
-    np.testing.assert_allclose(
-        curves_of([tmp_path / "a.csv"], **numbers)[0]["1"].line, NEEDLES[1][:, [0, 2, 1]]
-    )
+    assert_allclose(curves_of([tmp_path / "a.csv"], **numbers)[0]["1"].line, NEEDLES[1][:, [0, 2, 1]])
     refusal(ConfigError, "there is no key", prepare, [tmp_path / "a.csv"], height="2")
 
 
@@ -371,5 +320,5 @@ def test_the_unit_that_a_file_states_is_that_of_its_lengths_and_a_length_of_no_n
         assert all(option in fix for option in asked)
         stated |= {"diameter__unit": "m", "needle_length__unit": "m"}
     plan, made = planned([file], **stated)
-    assert (plan.needle.length_mm, plan.needle.outer_diameter_mm) == pytest.approx((150.0, 1.27))
+    assert (plan.needle.length_mm, plan.needle.outer_diameter_mm) == approx((150.0, 1.27))
     assert ("diameter.unit" in made) == bool(unit)

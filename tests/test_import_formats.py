@@ -8,6 +8,8 @@ import import_cases
 import numpy as np
 import pytest
 from import_cases import curves_of, prepare
+from numpy.testing import assert_allclose
+from pytest import approx
 from refusals import refusal
 from scipy.io import savemat
 
@@ -57,7 +59,7 @@ def content_of(folder, **variables):
 def assert_same(content, wanted=CURVES, factor=1.0):
     assert len(content.curves) == len(wanted)
     for one, points in zip(content.curves, wanted, strict=True):
-        np.testing.assert_allclose(one.line, factor * points, atol=1e-9)
+        assert_allclose(one.line, factor * points, atol=1e-9)
 
 
 def stated(content, key):
@@ -78,7 +80,7 @@ def test_a_cell_of_version_7_3_beside_a_vector_has_a_side_for_each_needle():
     assert content.names == [f"needles_{n}" for n in range(1, 7)]
     assert [len(one.line) for one in content.curves] == [10, 12, 14, 16, 18, 20]
     assert sides_of(content) == ["1", "-1"] * 3
-    assert [one.length for one in content.curves] == pytest.approx(range(45, 105, 10), abs=0.3)
+    assert [one.length for one in content.curves] == approx(range(45, 105, 10), abs=0.3)
 
 
 @pytest.mark.parametrize("container", ["cell", "stack"])
@@ -133,7 +135,7 @@ def test_a_modulus_without_a_unit_is_in_the_only_one_that_a_needle_has(tmp_path)
         if unit:
             assert f"--set modulus.unit={unit}" in refusal(DataError, "modulus", prepare, [file], **words).fix
             words["modulus__unit"] = unit
-        assert prepare([file], **words).plan.needle.youngs_modulus_gpa == pytest.approx(gpa)
+        assert prepare([file], **words).plan.needle.youngs_modulus_gpa == approx(gpa)
 
 
 def test_empty_cells_keep_the_values_of_the_others_in_their_places(tmp_path):
@@ -291,7 +293,7 @@ def test_places_may_be_fields_of_fields_in_json(tmp_path):
         (tmp_path / f"run{n}.jsonl").write_text("\n".join(map(json.dumps, poses)))
         content = Content(tmp_path / f"run{n}.jsonl", holds="shapes")
         assert content.names == [f"run{n}"]
-        np.testing.assert_allclose(content.curves[0].line, curve)
+        assert_allclose(content.curves[0].line, curve)
         assert "stamp.secs" in content.table.headers
     needles = {
         f"n{n}": {**dict(zip("xyz", one.T.tolist(), strict=True)), "side": 1} for n, one in enumerate(CURVES)
@@ -328,7 +330,7 @@ def test_bad_json_lines_are_refused(tmp_path, text, place):
 def test_labels_of_one_list_name_needles():
     content = Content(CASES / "labels.mrk.json")
     assert [(one.name, len(one.line)) for one in content.curves] == [("N1", 5), ("N2", 6), ("N3", 7)]
-    assert [one.length for one in content.curves] == pytest.approx([40, 50, 60], abs=0.1)
+    assert [one.length for one in content.curves] == approx([40, 50, 60], abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -409,14 +411,14 @@ def test_an_entry_of_one_point_in_an_array_of_structs_is_a_tip(tmp_path):
     savemat(tmp_path / "needles.mat", {"needles": array})
     curves, _ = curves_of([tmp_path / "needles.mat"], unit="mm")
     assert [curve.kind.name for curve in curves.values()] == ["shapes", "shapes", "tips"]
-    np.testing.assert_allclose(curves["n2"].line, CURVES[2][-1:])
+    assert_allclose(curves["n2"].line, CURVES[2][-1:])
 
 
 def test_an_archive_of_numpy_is_read_as_a_matlab_file_unless_it_holds_objects(tmp_path):
     np.savez(tmp_path / "a.npz", **{f"n{n}": curve for n, curve in enumerate(CURVES)}, units="cm")
     curves, _ = curves_of([tmp_path / "a.npz"])
     for points, curve in zip(CURVES, curves.values(), strict=True):
-        np.testing.assert_allclose(curve.line, 10 * points, atol=1e-9)
+        assert_allclose(curve.line, 10 * points, atol=1e-9)
     np.savez(tmp_path / "b.npz", needles=np.array([*CURVES, None], dtype=object))
     refusal(DataError, "", find_format(tmp_path / "b.npz").read_curves, tmp_path / "b.npz")
 
@@ -426,5 +428,5 @@ def test_matlab_arrays_of_two_columns_are_curves_in_a_plane(tmp_path):
     savemat(tmp_path / "a.mat", {"Versuch": [{"Nr": n, "Punkte": curve[: 9 - n]} for n in range(2)]})
     curves, _ = find_format(tmp_path / "a.mat").read_curves(tmp_path / "a.mat")
     first, second = curves.values()
-    np.testing.assert_allclose(first.values, np.column_stack([curve, np.zeros(9)]))
+    assert_allclose(first.values, np.column_stack([curve, np.zeros(9)]))
     assert second.values.shape == (8, 3)

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from import_cases import needle, placed, planned, prepare, write_long, write_markups, write_placed, write_rows
+from numpy.testing import assert_allclose
+from pytest import approx
 from refusals import refusal
 
 from needlefit.api import score_study
@@ -57,7 +59,7 @@ def test_the_entry_is_the_first_point_unless_another_is_stated(tmp_path):
     file = write_long(tmp_path, NEEDLES)
     assert planned([file])[1]["entry"] == ("first", "assumed")
     file = write_long(tmp_path, [one[::-1] for one in NEEDLES])
-    np.testing.assert_allclose(points_of([file], entry="last")[1].values, NEEDLES[1], atol=1e-6)
+    assert_allclose(points_of([file], entry="last")[1].values, NEEDLES[1], atol=1e-6)
     file = write_long(tmp_path, [NEEDLES[0][::-1], *NEEDLES[1:]])
     assert "n1" in refusal(DataError, "--set entry", planned, [file]).what
     assert planned([file], entry="first")[1]["entry"] == ("first", "stated")
@@ -72,15 +74,15 @@ def test_a_needle_is_cut_at_a_surface_and_its_shaft_gives_the_pose(tmp_path):
     write_long(tmp_path, [with_shaft(one) for one in NEEDLES])
     plan, _ = planned([tmp_path], point_sd="0.1", pose="shaft", entry_point="1_skin")
     row = plan.rows[1]
-    np.testing.assert_allclose(row.entry, [0.0, 3.0, 0.0], atol=0.01)
-    np.testing.assert_allclose(row.direction, [1.0, 0.0, 0.0], atol=1e-6)
+    assert_allclose(row.entry, [0.0, 3.0, 0.0], atol=0.01)
+    assert_allclose(row.direction, [1.0, 0.0, 0.0], atol=1e-6)
     assert (row.pose_source, row.layers) == ("first_point", 3)  # a point of the bent needle
     assert [(one.name, one.into) for one in plan.surfaces] == [("上", 2), ("下", 3)]
     x = np.array([*np.arange(-18.0, -2.0, 3.0), 0.0])  # beside the error of a line, that of its bend
     assert 3 * 0.1 / np.linalg.norm(x - x.mean()) < plan.rows[0].pose_angle_sd < np.radians(2.0)
     assert plan.rows[0].pose_shift_sd == 0.1
     options = {"pose": "shaft", "entry_point": "1_skin", "pose_angle_sd": "1"}
-    assert np.degrees(planned([tmp_path], **options)[0].rows[0].pose_angle_sd) == pytest.approx(1.0)
+    assert np.degrees(planned([tmp_path], **options)[0].rows[0].pose_angle_sd) == approx(1.0)
     assert len(planned([tmp_path], entry_point="first", pose="1,0,0")[0].surfaces) == 3
     refusal(DataError, "--set entry_point", planned, [tmp_path], pose="1,0,0")  # is the first surface a skin?
     refusal(DataError, "--set pose", planned, [tmp_path])
@@ -103,7 +105,7 @@ def test_a_straight_shaft_is_cut_at_the_stated_entry_or_depth(tmp_path, by):
         file = write_long(tmp_path, [with_shaft(one - one[0]) for one in NEEDLES])
     plan, made = planned([file], pose="shaft", **options)
     for row, points in zip(plan.rows, points_of([file], pose="shaft", **options), strict=True):
-        np.testing.assert_allclose(row.direction, [1, 0, 0], atol=1e-6)
+        assert_allclose(row.direction, [1, 0, 0], atol=1e-6)
         assert row.pose_source == ("shaft" if by == "entry_point" else "first_point")
         assert abs(points.values[0, 0]) < 0.01
     assert made["entry_point"][0] == ("0,0,0" if by == "entry_point" else "depth")
@@ -166,17 +168,17 @@ def test_tables_of_turns_and_curvatures_belong_to_needles_of_their_names(tmp_pat
     refusal(DataError, "turn", planned, paths, pose="1,0,0", bevel="bend")
     plan, made = planned(paths, pose="1,0,0")
     toward = [float(text) for text in made["bevel"][0].split(",")]  # as they bend before they are turned
-    assert made["bevel"][1] == "assumed" and toward == pytest.approx([0, 1, 0], abs=0.03)
+    assert made["bevel"][1] == "assumed" and toward == approx([0, 1, 0], abs=0.03)
     assert made["turns, curvatures"][1] == "files"
     assert made["bevel_roll_sd"][1] == "assumed"
-    assert [np.degrees(row.turns).tolist()[0][1] for row in plan.rows] == pytest.approx([90.0] * 4)
+    assert [np.degrees(row.turns).tolist()[0][1] for row in plan.rows] == approx([90.0] * 4)
     assert plan.rows[2].turns[0][0] == 40.0 and plan.rows[1].curvature is None
     wanted = [[10, 1e-4, 3.3e-3, 1e-4], [40, 3.3e-3, -2e-4, 1e-4]]
-    np.testing.assert_allclose(plan.rows[0].curvature, wanted, atol=1e-9)
+    assert_allclose(plan.rows[0].curvature, wanted, atol=1e-9)
     # from up, where bevels that face right have their roll of 0
     plan, _ = planned(paths, pose="1,0,0", bevel="0,1,0", bevel_side="90 deg")
-    np.testing.assert_allclose(plan.rows[0].curvature[0], [10, 3.3e-3, -1e-4, 1e-4], atol=1e-9)
-    assert plan.rows[0].turns[0][1] == pytest.approx(0.0) and plan.rows[0].bevel == pytest.approx([0, 0, 1])
+    assert_allclose(plan.rows[0].curvature[0], [10, 3.3e-3, -1e-4, 1e-4], atol=1e-9)
+    assert plan.rows[0].turns[0][1] == approx(0.0) and plan.rows[0].bevel == approx([0, 0, 1])
 
 
 def test_needles_that_were_turned_are_fitted_by_the_path_angle_and_missed_by_less_than_0_3_mm(tmp_path):
@@ -187,8 +189,8 @@ def test_needles_that_were_turned_are_fitted_by_the_path_angle_and_missed_by_les
     assert errors.max() < 0.2 and {*errors.index} == {"tune", "validate"}
     # the scene of the deepest needle, to be predicted, turns as that did
     steps = resolve_steps(load(folder / "scene.toml", SceneRecord))
-    assert [step.depth_mm for step in steps] == pytest.approx([45.0, 90.851], abs=1e-3)
-    assert [step.bevel.roll_deg or 0.0 for step in steps] == pytest.approx([0.0, 90.0])
+    assert [step.depth_mm for step in steps] == approx([45.0, 90.851], abs=1e-3)
+    assert [step.bevel.roll_deg or 0.0 for step in steps] == approx([0.0, 90.0])
 
 
 @pytest.mark.parametrize(
@@ -219,7 +221,7 @@ def test_needles_are_judged_beside_the_turns_that_are_stated(tmp_path, roll, asi
     assert ("bevel_plane" in {one.kind for one in dataset.warnings}) == aside
     away = {name: mm for name, mm, _ in measure_out_of_plane(dataset)}
     wanted = [1.5, 2.2, 2.7, 3.4] if aside else [0.0] * 4
-    assert [away[f"q{n}"] for n in range(1, 5)] == pytest.approx(wanted, abs=0.15)
+    assert [away[f"q{n}"] for n in range(1, 5)] == approx(wanted, abs=0.15)
     (fix,) = (one.fix for one in dataset.warnings if one.kind == "bevel_plane") if aside else ("",)
     assert ("`bevel_roll_deg`" in fix) == (roll == -90)
 
@@ -242,7 +244,7 @@ def test_a_log_of_tip_poses_is_a_track_and_not_the_shape_of_one_needle(tmp_path)
     (track,) = dataset.insertions
     assert (track.id, track.medium) == ("em", "gel")
     assert track.points[:, 0].tolist() == [0.0, 5.0, 10.0, *np.arange(20.0, 61.0, 5.0)]
-    assert track.points[[0, -1], 1] == pytest.approx([0.086, 2.978]) and not track.guide.y.any()
+    assert track.points[[0, -1], 1] == approx([0.086, 2.978]) and not track.guide.y.any()
     assert np.ptp(track.points[:, 2]) > 0 and not track.guide.z.any()
     written = {"dataset.toml", "mapping.toml", "tracks.csv", "tissue.toml", "em_fit.toml", "scene.toml"}
     assert {path.name for path in out.iterdir()} == written
@@ -267,7 +269,7 @@ def test_the_bevel_of_logs_is_across_the_needle_and_asked_for_where_tips_bend_to
     _, made = planned([tmp_path])
     assert made["bevel_side"] == ("1", "assumed") and "missing" in made
     for points in points_of([tmp_path], holds="tracks"):
-        assert np.ptp(points.values[:, 0]) == pytest.approx(depths[-1] ** 2 / 520, abs=0.4)
+        assert np.ptp(points.values[:, 0]) == approx(depths[-1] ** 2 / 520, abs=0.4)
 
 
 def test_needles_that_differ_are_each_their_own(tmp_path):
@@ -281,7 +283,7 @@ def test_needles_that_differ_are_each_their_own(tmp_path):
     assert "diameter" not in made and made["inner_diameter"] == ("0.2", "stated")
     write_placed(tmp_path / "gel", [file])
     found = {one.id: one.needle.flexural_rigidity for one in read(tmp_path / "gel").insertions}
-    assert found["n2"] / found["n1"] == pytest.approx((GAUGES_MM[18] / GAUGES_MM[22]) ** 4)
+    assert found["n2"] / found["n1"] == approx((GAUGES_MM[18] / GAUGES_MM[22]) ** 4)
 
 
 @pytest.mark.parametrize(
@@ -304,7 +306,7 @@ def test_a_column_of_deviations_is_that_of_each_point(tmp_path):
     rows = [["needle", "x", "y", "z", "sd"]]
     rows += [["a", *point, 0.1 + 0.01 * n] for n, point in enumerate(NEEDLES[0])]
     content, _, made = placed([write_rows(tmp_path / "a.csv", rows)])
-    np.testing.assert_allclose(content.curves[0].points.sd, 0.1 + 0.01 * np.arange(16))
+    assert_allclose(content.curves[0].points.sd, 0.1 + 0.01 * np.arange(16))
     assert made["point_sd"][1] == "assumed"
     rows = [[*row[:-1], 0.07] if n else row for n, row in enumerate(rows)]
     content, plan, made = placed([write_rows(tmp_path / "a.csv", rows)])
@@ -320,10 +322,10 @@ def test_poses_of_a_tip_without_depths_go_along_the_stage_axis(tmp_path):
     assert "--set holds=tracks" in refusal(DataError, "tracks", planned, [file]).fix
     content, _, made = placed([file], holds="tracks")
     assert made["pose"] == ("0,0,-1", "assumed") and made["depth"][1] == "assumed"
-    np.testing.assert_allclose(content.curves[0].depths, NEEDLES[0][:, 0], atol=1e-9)
-    assert np.ptp(content.curves[0].line[:, 0]) == pytest.approx(np.ptp(NEEDLES[0][:, 1]))
+    assert_allclose(content.curves[0].depths, NEEDLES[0][:, 0], atol=1e-9)
+    assert np.ptp(content.curves[0].line[:, 0]) == approx(np.ptp(NEEDLES[0][:, 1]))
     content, _, _ = placed([file], holds="tracks", entry_point="50,0,-10")
-    assert content.curves[0].depths[0] == pytest.approx(2.0)  # readings before it are left out
+    assert content.curves[0].depths[0] == approx(2.0)  # readings before it are left out
 
 
 @pytest.mark.parametrize("guide", ["2", "none", "3"])
@@ -341,7 +343,7 @@ def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
     )
     named = {"x__column": "7", "y__column": "8", "z__column": "9", "guide__column": "15|16|17"}
     first, _ = placed(files, **answers, **named)[0].curves
-    np.testing.assert_allclose(first.guide[:, 0], 0.1 * np.arange(16))
+    assert_allclose(first.guide[:, 0], 0.1 * np.arange(16))
     if guide == "3":
         refusal(DataError, "guide", planned, files, **answers, guide=guide)
     if guide == "none":  # the other tool stands beside the way of the tip
@@ -350,10 +352,10 @@ def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
     if guide == "2":
         content, _, made = placed(files, **answers, guide=guide)
         assert len(content.curves) == 2 and made["guide"] == ("2", "stated")
-        np.testing.assert_allclose(content.curves[0].guide[:, 0], 0.1 * np.arange(16))
+        assert_allclose(content.curves[0].guide[:, 0], 0.1 * np.arange(16))
         write_placed(tmp_path / "runs", files, **answers, guide=guide)
         run, _ = read(tmp_path / "runs").insertions
-        np.testing.assert_allclose(run.guide.y, 0.1 * np.arange(16), atol=1e-4)
+        assert_allclose(run.guide.y, 0.1 * np.arange(16), atol=1e-4)
 
 
 @pytest.mark.parametrize("named", [True, False])
@@ -367,8 +369,8 @@ def test_depths_of_a_stage_are_those_at_the_times_of_the_camera(tmp_path, named)
     assert "depths" in refusal(DataError, "nothing states the depths", planned, [camera], holds="tracks").what
     _, plan, _ = placed([camera, other], holds="tracks", depth_zero="tissue")
     (curve,) = plan.curves
-    np.testing.assert_allclose(curve.depths, np.arange(0.5, 60.0, 5.0), atol=1e-9)
-    np.testing.assert_allclose(curve.line[:, 0], 4e-4 * np.arange(0.0, 60.0, 5.0) ** 2, atol=1e-9)
+    assert_allclose(curve.depths, np.arange(0.5, 60.0, 5.0), atol=1e-9)
+    assert_allclose(curve.line[:, 0], 4e-4 * np.arange(0.0, 60.0, 5.0) ** 2, atol=1e-9)
 
 
 def test_one_of_two_tools_in_rows_of_their_own_may_be_left_out(tmp_path):
@@ -402,7 +404,7 @@ def test_sensors_may_be_placed_from_the_base(tmp_path):
     assert "curvature_z.column=" in refusal(DataError, "curvature_z", planned, [tmp_path], **answers).fix
     _, plan, _ = placed([tmp_path], **named, **answers)
     wanted = [[45.0, 2e-3, 1e-4, 5e-5], [15.0, 1e-3, 2e-4, 5e-5]]
-    np.testing.assert_allclose(plan.rows[0].curvature, wanted, atol=1e-12)
+    assert_allclose(plan.rows[0].curvature, wanted, atol=1e-12)
 
 
 def test_a_moving_base_is_the_guide_only_where_that_is_stated(tmp_path):
@@ -418,7 +420,7 @@ def test_a_moving_base_is_the_guide_only_where_that_is_stated(tmp_path):
         (write_rows(tmp_path / "rows.csv", rows), {"guide": "base"}, "stated"),
     ):
         content, _, made = placed([file], **answers, **stated)
-        np.testing.assert_allclose(content.curves[0].guide[:, 0], 0.1 * np.arange(16), atol=1e-9)
+        assert_allclose(content.curves[0].guide[:, 0], 0.1 * np.arange(16), atol=1e-9)
         assert made["guide"][1] == status
     assert placed([columns], **answers, guide="none")[0].curves[0].guide is None
 
@@ -448,9 +450,9 @@ def test_a_tip_of_the_name_and_depth_of_a_shape_is_of_this_needle(tmp_path):
     stated = {"pose": "1,0,0", "bevel": "0,1,0", "point_sd": "0.1"}
     write_placed(out := tmp_path / "out", [file, other], **stated)
     one, two, further = read(out).insertions
-    assert one.tip[0] == pytest.approx((2.3 * 16 + 2.4 * 9) / 25) and one.tip[2] == pytest.approx(0.024)
+    assert one.tip[0] == approx((2.3 * 16 + 2.4 * 9) / 25) and one.tip[2] == approx(0.024)
     assert one.observation == "points" and two.tip is None
-    assert (further.id, further.observation, further.deflection) == ("b-2", "tip", pytest.approx(-1.1))
+    assert (further.id, further.observation, further.deflection) == ("b-2", "tip", approx(-1.1))
 
 
 def test_a_track_of_the_name_and_depth_of_a_shape_is_of_the_same_insertion(tmp_path):
@@ -497,7 +499,7 @@ def test_a_guide_is_placed_along_the_axis_of_its_column(tmp_path, head, axes):
     if axes:  # along the needle, or along no stated axis: its motion would be lost
         assert f"guide.axes={axes}" in refusal(DataError, "guide", planned, [file]).fix
     content, _, _ = placed([file], **({"guide__axes": axes} if axes else {}))
-    np.testing.assert_allclose(content.curves[0].guide[[0, -1], 0], [0.0, 3.0], atol=1e-9)
+    assert_allclose(content.curves[0].guide[[0, -1], 0], [0.0, 3.0], atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["Fiducial", "Plane"])
@@ -515,7 +517,7 @@ def test_points_and_planes_of_slicer_are_boundaries(tmp_path, kind):
     assert [surface.name for surface in plan.surfaces] == ["layer"]
     assert [row.layers for row in plan.rows] == [2, 2, 2]
     data = read(write_placed(tmp_path / "data", [tmp_path], **stated))
-    assert data.insertions[0].boundaries == pytest.approx([20.0], abs=0.1)
+    assert data.insertions[0].boundaries == approx([20.0], abs=0.1)
     write_markups(tmp_path / "layer.mrk.json", "layer", points[0] + np.outer(np.arange(5.0), [0, 1, 0]))
     refusal(DataError, "no plane", planned, [tmp_path], **stated | {"surfaces": "layer.mrk.json"})
 
@@ -536,7 +538,7 @@ def test_a_bevel_may_turn_between_the_readings_of_a_run(tmp_path, by_reading):
     files = [file] if by_reading else [file, beside]
     runs = read(write_placed(tmp_path / "out", files, holds="tracks", point_sd="0.1")).insertions
     assert [(run.side, run.turns) for run in runs] == [(1, ((20.0, 180.0),)), (-1, ((20.0, 270.0),))]
-    assert runs[0].points[4] == pytest.approx([20, 0.16, 0], abs=1e-3)
+    assert runs[0].points[4] == approx([20, 0.16, 0], abs=1e-3)
 
 
 def test_tips_at_a_tracker_are_read_across_the_insertion_and_rolled_from_the_stated_up(tmp_path):
@@ -562,9 +564,9 @@ def test_tips_at_a_tracker_are_read_across_the_insertion_and_rolled_from_the_sta
     runs = read(write_placed(tmp_path / "out", [file], leave_out="e", specimen="one", **stated)).insertions
     assert [[turn for _, turn in run.turns] for run in runs] == [[], [90.0], [180.0], [270.0]]
     assert [len(run.points) for run in runs] == [13] * 4
-    assert [run.deflection for run in runs] == pytest.approx([1.44] * 4, abs=1e-3)
+    assert [run.deflection for run in runs] == approx([1.44] * 4, abs=1e-3)
     ends = [run.points[-1, 1:] for run in runs]
-    np.testing.assert_allclose(ends, 1.44 * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]]), atol=1e-3)
+    assert_allclose(ends, 1.44 * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]]), atol=1e-3)
     along_needle = stated | {"bevel": stated["pose"]}
     refusal(DataError, "60 degrees", planned, [file], **along_needle)
 
@@ -595,4 +597,4 @@ def test_swapped_columns_and_an_entry_in_another_unit_are_named(tmp_path):
     fix = refusal(DataError, "N0|n0", prepare, [points, facts], pose="1,0,0").fix
     assert "--set entry_point.unit=m" in fix
     plan = prepare([points, facts], pose="1,0,0", entry_point__unit="m").plan
-    assert [row.entry[0] for row in plan.rows] == pytest.approx([1005.0] * 3)
+    assert [row.entry[0] for row in plan.rows] == approx([1005.0] * 3)

@@ -16,6 +16,7 @@ from import_cases import (
     write_rows,
     write_sheets,
 )
+from numpy.testing import assert_allclose
 from refusals import refusal
 from test_cli import run
 
@@ -35,7 +36,7 @@ def assert_read(paths, wanted=NEEDLES, names=None, **stated):
     assert names is None or [*curves] == names
     assert len(curves) == len(wanted)
     for curve, points in zip(curves.values(), wanted, strict=True):
-        np.testing.assert_allclose(curve.line, points, atol=1e-3)
+        assert_allclose(curve.line, points, atol=1e-3)
     return draft
 
 
@@ -240,8 +241,8 @@ def test_angles_along_a_needle_are_integrated():
     """A circle of radius 100 mm, by its angles at lengths."""
     arcs = np.linspace(0.0, 50.0, 26)
     x, y, z = integrate_angles(arcs, np.degrees(arcs / 100)).T
-    np.testing.assert_allclose(x, 100 * np.sin(arcs / 100), atol=2e-3)
-    np.testing.assert_allclose(y, 100 * (1 - np.cos(arcs / 100)), atol=2e-3)
+    assert_allclose(x, 100 * np.sin(arcs / 100), atol=2e-3)
+    assert_allclose(y, 100 * (1 - np.cos(arcs / 100)), atol=2e-3)
     assert not z.any()
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from inference_cases import TRUTH, dataset, insertion, measure, medium
 from inference_cases import problem as make_problem
+from pytest import approx
 
 from needlefit.datasets.insertion import Noise
 from needlefit.inference import doubts
@@ -54,7 +55,7 @@ def test_sound_needles_are_not_accused(spread):
 def test_a_needle_nearer_than_five_standard_deviations_is_named_if_a_change_is_far_more_probable():
     (one,) = doubt(change(measure_needles(1, 0.15), 3, lambda points: points * [1, 1.35, 1]))
     assert (one.insertion, one.cause, one.sds < 5) == ("n3", "scaled", True)
-    assert one.size == pytest.approx(1.35, rel=0.1) and one.log_odds > math.log(150)
+    assert one.size == approx(1.35, rel=0.1) and one.log_odds > math.log(150)
 
 
 @pytest.mark.parametrize(
@@ -70,7 +71,7 @@ def test_a_needle_nearer_than_five_standard_deviations_is_named_if_a_change_is_f
 def test_a_needle_is_named_with_what_happened_to_it_and_its_size(by, cause, size):
     (one,) = doubt(change(measure_needles(1), 4, by))
     assert (one.insertion, one.cause) == ("n4", cause) and one.sds > 5
-    assert one.size is None if size is None else one.size == pytest.approx(size, rel=0.15)
+    assert one.size is None if size is None else one.size == approx(size, rel=0.15)
     _, measured, predicted = np.transpose(one.points)
     assert abs(measured - predicted).max() > 5 * POINT_SD
 
@@ -79,7 +80,7 @@ def test_a_step_is_named_with_the_point_where_it_is_and_its_size():
     (one,) = doubt(change(measure_needles(2), 3, lambda points: points + [0, 2.0, 0] * (points[:, :1] > 20)))
     first = 1 + int(np.argmax(measure_needles(2)[3].points[:, 0] > 20))
     assert (one.insertion, one.cause, one.where) == ("n3", "stepped", str(first))
-    assert one.size == pytest.approx(2.0, rel=0.1)
+    assert one.size == approx(2.0, rel=0.1)
 
 
 def test_a_tip_that_alone_is_off_is_named_with_how_far_it_is_off():
@@ -87,7 +88,7 @@ def test_a_tip_that_alone_is_off_is_named_with_how_far_it_is_off():
     made[4] = made[4].with_points(made[4].points + [0, 1.0, 0] * (made[4].points == made[4].points[-1]))
     (needle,) = doubt(made)
     assert (needle.insertion, needle.cause, needle.where) == ("n4", "tip_off", str(len(made[4].points)))
-    assert needle.size == pytest.approx(1.0, abs=5 * needle.sd) and needle.sd < 0.2
+    assert needle.size == approx(1.0, abs=5 * needle.sd) and needle.sd < 0.2
 
 
 def test_needles_whose_points_were_exchanged_are_named_with_each_other():
@@ -108,7 +109,7 @@ def test_a_change_is_clear_if_it_is_150_times_as_probable_as_none_and_its_size_i
 
     change = Change("shifted", starts=(-2.0, 0.0, 2.0), cost=math.log(100.0))
     found = explain([change], lambda change: search_sizes(measure, change.starts), 0.0)
-    assert found.is_clear == is_clear and found.size == pytest.approx(min(peak, 2.0))
+    assert found.is_clear == is_clear and found.size == approx(min(peak, 2.0))
 
 
 def test_a_boundary_is_not_clear_where_another_one_explains_as_much_by_what_cannot_be():
@@ -137,7 +138,7 @@ def test_a_needle_with_another_boundary_is_named():
     made[5] = replace(made[5], boundaries=made[5].boundaries + 12.0)
     (one,) = doubt(made)
     assert (one.insertion, one.cause, one.where) == ("n5", "boundary", "1")
-    assert one.size == pytest.approx(-12.0, abs=2.0)
+    assert one.size == approx(-12.0, abs=2.0)
 
 
 def test_a_needle_that_no_change_explains_is_named_without_a_cause():
@@ -171,12 +172,12 @@ def test_what_happened_to_all_needles_alike_is_named_with_its_size_and_none_is_a
     problem = make(made)
     found = find_doubts(problem, fit_quickly(problem))
     assert list(found.odd_needles) == [] and found.deviating is None and found.common_doubt is not None
-    assert found.common_doubt.cause == cause and found.common_doubt.size == pytest.approx(
+    assert found.common_doubt.cause == cause and found.common_doubt.size == approx(
         size, abs=3 * found.common_doubt.sd
     )
     made[2] = made[2].with_points(made[2].points * [1, -1, 1])
     beside = find_doubts(make(made), problem.parameters.theta(TRUTH)).common_doubt
-    assert beside.cause == cause and beside.size == pytest.approx(size, abs=3 * beside.sd)
+    assert beside.cause == cause and beside.size == approx(size, abs=3 * beside.sd)
 
 
 def test_a_guide_that_gave_way_toward_the_bevels_is_no_boundary_elsewhere():
@@ -199,7 +200,7 @@ def test_a_boundary_that_is_stated_in_centimetres_is_found_if_the_noise_is_known
     theta = fit_quickly(problem)
     common = find_doubts(problem, theta).common_doubt
     assert (common.cause, common.where, common.stated) == ("boundary", "1", 2.0)
-    assert common.size == pytest.approx(18.0, abs=1.0)
+    assert common.size == approx(18.0, abs=1.0)
     likelihood = problem.likelihood.model_copy(update={"noise_scale": "estimated"})
     assert find_doubts(replace(problem, likelihood=likelihood), theta).common_doubt is None
 
@@ -214,4 +215,4 @@ def test_three_needles_needles_off_their_plane_and_needles_without_stated_noise_
 
 
 def test_of_more_needles_one_must_be_farther_to_be_named():
-    assert [find_limit(count) for count in (1, 8, 500)] == pytest.approx([5.0, 5.386, 6.088], abs=1e-3)
+    assert [find_limit(count) for count in (1, 8, 500)] == approx([5.0, 5.386, 6.088], abs=1e-3)

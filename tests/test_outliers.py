@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from pytest import approx
 from scipy.interpolate import CubicSpline
 from test_datasets import record, row
 
@@ -81,7 +83,7 @@ def test_a_point_off_its_curve_is_named_with_its_row_and_alone(tmp_path, index, 
     line = 2 + index % len(curves["n6"])
     assert (one.kind, one.where) == ("point_outlier", f"{tmp_path}/centerlines/n6.csv:{line}")
     assert "n6" in one.what and words in one.what
-    assert float(re.search(r"by ([-+\d.]+) mm", one.what)[1]) == pytest.approx(off_mm, abs=0.3)
+    assert float(re.search(r"by ([-+\d.]+) mm", one.what)[1]) == approx(off_mm, abs=0.3)
 
 
 @pytest.mark.parametrize("factor", [0.3, 3.0])
@@ -121,9 +123,7 @@ def test_needles_that_all_begin_off_their_entries_are_named_with_the_distance(tm
     curves = {name: move(*vector)(curve) for name, curve in measure_needles(3).items()}
     (one,) = [each for each in find_warnings(tmp_path, curves) if each.kind == "entry_offset"]
     numbers = [float(text) for text in re.findall(r"-?\d\.\d(?=, | mm)", one.what)]
-    assert np.mean(np.reshape(numbers, (8, 3)), axis=0)[[0, 2]] == pytest.approx(
-        [vector[0], vector[2]], abs=0.1
-    )
+    assert np.mean(np.reshape(numbers, (8, 3)), axis=0)[[0, 2]] == approx([vector[0], vector[2]], abs=0.1)
 
 
 @pytest.mark.parametrize("factor", [0.1, 5.0])
@@ -132,7 +132,7 @@ def test_an_axis_in_another_unit_is_named_by_its_scatter(tmp_path, factor):
     found = [one for one in find_warnings(tmp_path, curves) if one.kind == "axis_unit"]
     assert len(found) == 1 and "along y" in found[0].what
     scatter = float(re.search(r"([\d.]+) mm along y", found[0].what)[1])
-    assert scatter == pytest.approx(factor * POINT_SD, rel=0.6)
+    assert scatter == approx(factor * POINT_SD, rel=0.6)
 
 
 @pytest.mark.parametrize("step", [0.1, 0.5, 1.0])
@@ -162,10 +162,10 @@ def test_rounding_is_found_from_coordinates():
 def test_points_of_a_cubic_are_predicted_by_their_neighbours():
     x = np.linspace(0.0, 10.0, 11)
     left, factor = leave_one_out(x, np.column_stack([x**3, 1 - x]))
-    np.testing.assert_allclose(left, 0.0, atol=1e-9)
+    assert_allclose(left, 0.0, atol=1e-9)
     rng = np.random.default_rng(6)
     drawn, _ = leave_one_out(x, rng.normal(size=(11, 4000)))
-    np.testing.assert_allclose(drawn.std(axis=1), factor, rtol=0.05)
+    assert_allclose(drawn.std(axis=1), factor, rtol=0.05)
 
 
 def test_contradictions_of_needles_that_are_left_out_do_not_count():
@@ -205,7 +205,7 @@ def test_points_interpolated_between_few_count_as_these(tmp_path, interpolate):
     for one in found.dataset.insertions:  # errors of the mean of all points
         points = POINTS.observe(one, StatedErrors(found.dataset, found.dataset.noise))
         variance = np.diag(points.point_covariance).mean() / len(points.measured)
-        assert variance == pytest.approx(POINT_SD**2 / (counts[one.id] or len(one.points)), rel=0.05)
+        assert variance == approx(POINT_SD**2 / (counts[one.id] or len(one.points)), rel=0.05)
 
 
 @pytest.mark.parametrize(("stated", "least"), [(1.0, 200), (4.0, 197)])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from page_files import run_node
+from pytest import approx
 
 from needlefit.errors import ModelError
 from needlefit.inference.curve_bands import find_bands
@@ -195,7 +196,7 @@ def test_the_page_simulates_the_bytes_of_the_program(name, seed):
         assert found["shape"] == [one.tobytes().hex() for one in parts]
         state, controls = found["state"], steering.now.step.controls
         assert (state["step"], state["depth_mm"]) == (steering.number, steering.now.step.depth)
-        assert (state["tip"]["lateral_mm"], state["max_slope"]) == pytest.approx(
+        assert (state["tip"]["lateral_mm"], state["max_slope"]) == approx(
             (shape.tip_lateral, shape.validity.max_slope)
         )
         ends = compute_positions(shape, shape.x[[0, -1]])
@@ -204,12 +205,12 @@ def test_the_page_simulates_the_bytes_of_the_program(name, seed):
             points = map_beam_points(shape, shape.constraints)[:, n]
             assert_allclose(state["constraints"][axis], points, atol=2e-4)
         assert [one["x"] for one in state["guides"]] == [one.x for one in controls.guides]
-        assert [one["mu_pa"] for one in state["layers"]] == pytest.approx(1e6 * steering.now.tissue.mu)
+        assert [one["mu_pa"] for one in state["layers"]] == approx(1e6 * steering.now.tissue.mu)
         s = shape.depth * np.array([0.0, 0.4, 1.0])
         load = compute_lateral_load(shape, steering.now.tissue, s, scene.rules)[: len(u)]
         assert_allclose(found["load"], load.ravel(), rtol=1e-9, atol=1e-12)
         expected = shape.validity
-        assert found["validity"] == pytest.approx(
+        assert found["validity"] == approx(
             {key: float(getattr(expected, key)) for key in found["validity"]}, rel=1e-9, abs=1e-12
         )
         path = steering.input_path()
