@@ -25,6 +25,7 @@ def run(tmp_path, monkeypatch):
 
     def work(self, study, sample):
         assert self.invocation.jobs == jobs_of_each[-1]
+        Path(f"{study.name}.begun").touch()
         time.sleep(0.5 if study.name == "first" else 0.0)  # it ends last
         self._print_note(study.name)
         return SimpleNamespace(name=study.name, interrupted=study.name == "stopped", process=os.getpid())
@@ -55,6 +56,14 @@ def test_several_run_in_copies_of_it_and_are_shown_in_their_order(run, tmp_path)
     assert run(2, 1, *NAMES) == ([False] * 3, [*NAMES], [*NAMES])
     assert sorted(one.stem for one in tmp_path.glob("*.txt")) == sorted(NAMES)
     assert run(9, 3, *NAMES)[0] == [False] * 3
+
+
+@pytest.mark.skipif(sys.platform != "linux" or len(os.sched_getaffinity(0)) < 2, reason="no copies here")
+def test_the_longest_run_first_and_are_shown_in_their_order(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(execution, "_estimate_size", lambda _, study: NAMES.index(study.name))
+    assert run(2, 1, *NAMES)[1:] == ([*NAMES], [*NAMES])
+    begun = [(tmp_path / f"{name}.begun").stat().st_mtime_ns for name in NAMES]
+    assert begun[0] == max(begun)
 
 
 def test_an_interrupted_run_is_not_written_and_ends_the_others(run, tmp_path):

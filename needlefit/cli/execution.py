@@ -291,6 +291,20 @@ def _run_study(
     return run, noted
 
 
+def _estimate_size(datasets: "Mapping[Path, Dataset]", work: "StatedStudy") -> tuple[bool, int]:
+    """Return what orders studies by how long they take: whether they are sampled, and how many needles."""
+    from needlefit.datasets.folds import make_folds
+    from needlefit.project.toml import add_file_context, find_named
+    from needlefit.schemas.study import FitRecord, StudyRecord
+
+    if not isinstance(work.record, FitRecord):
+        return False, 0
+    with add_file_context(work.file):
+        folds = make_folds(work.record, datasets[find_named("dataset", work.record.dataset)])
+    needles = sum(len(fold.tune) + len(fold.validate) for fold in folds)
+    return not isinstance(work.record, StudyRecord), needles
+
+
 def _run_side_by_side(
     execution: Execution, todo: "Sequence[StatedStudy]", datasets: "Mapping[Path, Dataset]"
 ) -> "Iterator[tuple[int, tuple[Run, list[str]]]]":
@@ -301,7 +315,7 @@ def _run_side_by_side(
     """
     from needlefit.project.tasks import LocalPool, TaskStop, can_fork, run_parts, stop_requested
 
-    asked, stop = execution.invocation, TaskStop(execution.stop)
+    asked, stop, order = execution.invocation, TaskStop(execution.stop), list(range(len(todo)))
     with open_pool(asked, count_cores()) as pool:
         if isinstance(pool, LocalPool):
             processes = min(pool.size, len(todo)) if can_fork() else 1
@@ -309,7 +323,11 @@ def _run_side_by_side(
                 print_remark(f"{len(todo)} runs in {processes} processes")
                 alone = replace(asked, jobs=math.ceil(pool.size / processes), quiet=True)  # no core is idle
                 execution = replace(execution, invocation=alone, stop=stop_requested)
-            yield from LocalPool(processes).run(partial(_run_study, execution, datasets), todo, stop)
+                # the shortest ones last, so that all processes end together
+                order.sort(key=lambda number: _estimate_size(datasets, todo[number]), reverse=True)
+            runner = partial(_run_study, execution, datasets)
+            for place, result in LocalPool(processes).run(runner, [todo[number] for number in order], stop):
+                yield order[place], result
             return
         alone = replace(asked, jobs=1, quiet=asked.quiet or len(todo) > 1)
         sending = replace(execution, invocation=alone, stop=stop, pool=pool)
