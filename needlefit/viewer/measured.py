@@ -295,17 +295,18 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     """Return an insertion with the fitted parameters of a run, by default the first held-out one."""
     from needlefit.inference.problem import find_new_bevel_sd
     from needlefit.studies.explorer import find_prediction
-    from needlefit.studies.run import FIT_KINDS, NEW_SPECIMEN, draw_insertion, restore_run
+    from needlefit.studies.run import FIT_KINDS, NEW_SPECIMEN, draw_insertion, restore_run, unpack
     from needlefit.studies.study_files import read_data
 
-    run = restore_run(view_target.path)
-    if run.kind not in FIT_KINDS:
+    kind = unpack(view_target.path).get("kind")
+    if kind not in FIT_KINDS:
         raise DataError(
-            f"is a run of kind {run.kind}, without a fitted needle",
+            f"is a run of kind {kind}, without a fitted needle",
             expected="a run of tune or validate that fits the shapes of needles",
             fix="name such a run, a scene or an insertion of a dataset",
             where=view_target.path,
         )
+    run = restore_run(view_target.path)
     dataset = require_shapes(read_data(run, str(view_target.path)))
     stated = run.knows(FitMetadata)
     dataset = set_compared(dataset, (), stated.compared)
