@@ -3,7 +3,7 @@
 A run stores how each insertion was made, so that its report can be made again without the dataset.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -84,7 +84,7 @@ def collect_explorer(run: Run) -> PageData | None:
     rows = [row for row in to_records(scored) if row["converged"] and row["insertion"] in stored]
     shapes = select_rows(frames.shapes, boundaries="measured")
     points = [f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xyz"]
-    curves: dict[Any, Floats] = {  # stations are in order
+    curves: dict[Hashable, Floats] = {  # stations are in order
         key: some.to_numpy().reshape(-1, 2, 3)
         for key, some in shapes.groupby(["fold", "role", "insertion", "method"], sort=False)[points]
     }

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,7 +26,7 @@ from needlefit.reporting.number_format import (
     is_known,
     round_significant,
 )
-from needlefit.reporting.table import DIGITS, Table, TableLayout, part, pivot
+from needlefit.reporting.table import DIGITS, Cells, Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.run_metadata import FitMetadata, RigidityMetadata
@@ -129,7 +128,7 @@ def _lay_out_groups(
     if short:
         metrics = [metric for metric in metrics if metric.headline or metric.relative]
     floors = [metric.name for metric in metrics if metric.headline and metric.has_floor]
-    last: list[Any] = [part("over_floor", metric=name) for name in floors]
+    last: list[str | Cells] = [part("over_floor", metric=name) for name in floors]
     last = ["noise_of_te"] if short and by_tips else last
     if short:
         metrics.sort(key=lambda metric: not metric.missed)

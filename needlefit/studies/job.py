@@ -12,7 +12,6 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import distribution
 from pathlib import Path
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -234,10 +233,10 @@ def run_study(study: StatedStudy, settings: Settings) -> Run:
         "platform": platform.platform(),
         "started": datetime.fromtimestamp(begin, UTC).isoformat(timespec="seconds"),
     }
-    state: dict[str, Any] = {"interrupted": run.interrupted, "faults": list(map(str, run.faults))}
+    run = run.with_metadata(interrupted=run.interrupted, faults=list(map(str, run.faults)))
     if revision := find_source_revision():
-        state["source_revision"] = revision
-    return replace(run.with_metadata(**state), timing=timing | run.timing)
+        run = run.with_metadata(source_revision=revision)
+    return replace(run, timing=timing | run.timing)
 
 
 GIT_SECONDS = 5.0  # longest time that git is waited for

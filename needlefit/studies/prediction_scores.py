@@ -5,7 +5,7 @@ Then how well intervals cover insertions, how wide they are, and errors in units
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -186,7 +186,7 @@ def join_trials(rows: pd.DataFrame) -> list[int]:
     """Return the trial of each row: rows of the same fold, specimen or hole are of one trial."""
     trial = list(range(len(rows)))
     for key in (rows["fold"], rows["specimen"], rows["specimen"] + "/" + rows["hole"]):
-        first: dict[Any, int] = {}
+        first = dict[str, int]()
         for number, name in enumerate(key):
             old, new = trial[number], trial[first.setdefault(name, number)]
             trial = [new if number == old else number for number in trial]

@@ -355,7 +355,6 @@ def restore_run(folder: Path) -> Run:
         if table["kind"] not in KINDS:
             raise damage_error(folder / RESULTS_FILE, f"there is no kind of study called {table['kind']!r}")
         kind = find_kind(table["kind"])
-        about: dict[str, Any] = {key: table[key] for key in _PLAIN}
         faults = [RunFault(FaultKind[fault["kind"]], fault["what"]) for fault in table["faults"]]
         frames: Frames = {name: _unpack_frame(frame) for name, frame in table["frames"].items()}
         for name, wanted in kind.frames.items():
@@ -377,7 +376,7 @@ def restore_run(folder: Path) -> Run:
             posteriors={name: load(folder / file) for name, file in zip(names, files, strict=True)},
             faults=tuple(faults),
             data=DatasetFiles.of_copy(copy) if is_file(copy / DATASET_FILE) else None,
-            **about,
+            **{key: table[key] for key in _PLAIN},
         )
 
 

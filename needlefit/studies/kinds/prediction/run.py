@@ -418,11 +418,10 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         warned.append(write_warning("predictive_median", {**chosen, "text": "median_of_scene"}))
     if draws.faults:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
-    stored: Any = about.record
     named = {"scene_name": scene_name, "posterior": record.posterior and Path(record.posterior).name}
     return replace(
         about,
-        record=stored.model_copy(update=named),
+        record=about.record.model_copy(update=named),
         frames={
             "forecast": needle,
             "parameters": list_parameters(
