@@ -414,11 +414,25 @@ def test_an_entry_of_one_point_in_an_array_of_structs_is_a_tip(tmp_path):
     assert_allclose(curves["n2"].line, CURVES[2][-1:])
 
 
+def test_vectors_as_long_as_the_points_beside_them_are_columns(tmp_path):
+    depths = np.linspace(5.0, 60.0, len(CURVES[0]))
+    runs = [{"tip": CURVES[0], "depth": depths[:, None], "bevel": side} for side in ("up", "down")]
+    savemat(tmp_path / "runs.mat", {"run": runs})
+    points, _ = find_format(tmp_path / "runs.mat").read_curves(tmp_path / "runs.mat")
+    assert [[float(text) for text in curve.columns["depth"]] for curve in points.values()] == [
+        pytest.approx(depths)
+    ] * 2
+    assert [curve.stated["bevel"] for curve in points.values()] == ["up", "down"]
+
+
 def test_an_archive_of_numpy_is_read_as_a_matlab_file_unless_it_holds_objects(tmp_path):
     np.savez(tmp_path / "a.npz", **{f"n{n}": curve for n, curve in enumerate(CURVES)}, units="cm")
     curves, _ = curves_of([tmp_path / "a.npz"])
     for points, curve in zip(CURVES, curves.values(), strict=True):
         assert_allclose(curve.line, 10 * points, atol=1e-9)
+    np.save(tmp_path / "needle.npy", np.stack([10 * CURVES[0]] * 2))
+    curves, _ = curves_of([tmp_path / "needle.npy"], unit="mm")
+    assert [*curves] == ["needle_1", "needle_2"]
     np.savez(tmp_path / "b.npz", needles=np.array([*CURVES, None], dtype=object))
     refusal(DataError, "", find_format(tmp_path / "b.npz").read_curves, tmp_path / "b.npz")
 

@@ -72,8 +72,8 @@ def import_data(
         list[Path],
         argument(
             "FILE_OR_FOLDER",
-            "Tables (.csv .tsv .txt .xlsx .xls .ods), .mat, .npz, RT structure sets (.dcm), Slicer markups "
-            "(.mrk.json .fcsv), surfaces (.stl .ply .obj).",
+            "Tables (.csv .tsv .txt .xlsx .xls .ods), .mat, .h5, .npz, .npy, RT structure sets (.dcm), "
+            "Slicer markups (.mrk.json .fcsv), surfaces (.stl .ply .obj).",
         ),
     ],
     out: options.Out = None,

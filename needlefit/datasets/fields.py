@@ -57,8 +57,8 @@ class FieldReader:
         out, and in stacks and matrices those of zeros.
 
         Texts, numbers and short vectors beside curves, or above them, are stated of each; of as many as there
-        are curves in a list beside them (rows of a matrix, too) each is stated of one. Vectors beside x, y
-        and z of their length are `columns`.
+        are curves in a list beside them (rows of a matrix, too) each is stated of one. Vectors beside a
+        curve, of its length, are `columns`.
         """
         plain, curves = simplify(value), list[FieldCurve]()
         for self.axes in (3, 2):
@@ -117,6 +117,7 @@ class FieldReader:
             by_field[axes[0]] = self._place_coordinates(name, {key: fields[key] for key in axes}, beside)
         else:
             beside |= {key: fields[key] for key in axes}
+        columns = set[str]()
         for key, curves in arrays.items():
             if len(curves[0]) in counts:  # a row for each curve of a list
                 beside[key] = fields[key]
@@ -124,6 +125,8 @@ class FieldReader:
                 by_field[key] = self._name_curves(
                     name if name and len(arrays) == 1 else _join(name, key), curves
                 )
+                columns |= _take_columns(by_field[key], len(curves[0]), beside)
+        beside = {key: part for key, part in beside.items() if key not in columns}
         for key, entries in by_field.items():
             for curve in (member for entry in entries for member in entry):
                 curve.unit = curve.unit or _find_unit(key)
@@ -147,13 +150,8 @@ class FieldReader:
         ]
         is_padded = len(curves) > 1 and all(isinstance(part, np.ndarray) for part in axes.values())
         entries = self._name_curves(name or "curve", curves, is_padded)
-        if len(entries) == 1 and entries[0]:
-            (curve,) = entries[0]
-            for key, part in [*beside.items()]:
-                texts = _split(part, len(curves[0])) if _is_vector(part, len(curves[0])) else None
-                if texts is not None:
-                    curve.columns[key] = texts[: len(curve.values)]
-                    del beside[key]
+        for key in _take_columns(entries, len(curves[0]), beside):
+            del beside[key]
         return entries
 
     def _name_curves(self, name: str, curves: Sequence[Floats], is_padded: bool | None = None) -> Entries:
@@ -182,6 +180,17 @@ def _state(entries: Entries, beside: Mapping[str, object]) -> Iterator[str]:
         for curve, text in ((member, text) for entry, text in pairs if text is not None for member in entry):
             if curve.stated.setdefault(key.rpartition(".")[2], text) == text:
                 yield key  # else what stands nearer to the curves states something else
+
+
+def _take_columns(entries: Entries, length: int, beside: Mapping[str, object]) -> set[str]:
+    """Let one curve of so many points take the vectors of its length as columns; return their names."""
+    if len(entries) != 1 or not entries[0]:
+        return set()
+    (curve,) = entries[0]
+    vectors = {key: part for key, part in beside.items() if _is_vector(part, length)}
+    texts = {key: texts for key, part in vectors.items() if (texts := _split(part, length)) is not None}
+    curve.columns |= {key: cells[: len(curve.values)] for key, cells in texts.items()}
+    return {*texts}
 
 
 def _find_unit(key: str) -> str:

@@ -1,4 +1,4 @@
-"""Read files of MATLAB and numpy: N x 3 or N x 2 arrays, also in structs and cells, and fields x, y and z.
+"""Read files of MATLAB, HDF5 and numpy: N x 3 or N x 2 arrays, also in structs and cells, and x, y and z.
 
 scipy and h5py read them, in a child process: scipy crashes on some damaged files.
 """
@@ -18,7 +18,7 @@ from needlefit.project.reader_process import BYTES_PER_SECOND, Arrays, read_in_p
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"  # of HDF5, which MATLAB uses from version 7.3 on
 SIGNATURE_OFFSETS = (0, 512, 1024, 2048)  # bytes; its possible places behind MATLAB's own header
-ZIP_SIGNATURE = b"PK"  # of archives of numpy (.npz)
+NUMPY_SIGNATURES = (b"PK", b"\x93NUMPY")  # of archives and arrays of numpy (.npz, .npy)
 MAX_SHOWN_VARIABLES = 20  # number of variables that a message lists
 MAX_EXPANSION = 8  # memory that the content of a file may take, as a multiple of the file's size
 EXPECTED_ARRAYS = "N x 3 or N x 2 arrays of numbers, or fields x, y and z, entry first"
@@ -31,7 +31,7 @@ ARRAYS_FIX = (
 def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     """Return every curve that `FieldReader` finds among the variables, by name, and what is not used.
 
-    Reads MATLAB versions 4 to 7 (scipy), 7.3 (h5py), and archives of numpy.
+    Reads MATLAB versions 4 to 7 (scipy), 7.3 and other HDF5 (h5py), and arrays and archives of numpy.
 
     DataError if the file is missing, is none of these, or holds no curve.
     """
@@ -67,10 +67,11 @@ def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict
         with h5py.File(BytesIO(data), "r") as file:
             named = [key for key in file if not key.startswith("#")]
             variables = {key: _read_hdf_value(file, _get_local_member(file, key)) for key in named}
-    elif data.startswith(ZIP_SIGNATURE):
+    elif data.startswith(NUMPY_SIGNATURES):
         try:
-            with np.load(BytesIO(data), allow_pickle=False) as archive:
-                variables = {key: value if value.ndim else value.item() for key, value in archive.items()}
+            loaded = np.load(BytesIO(data), allow_pickle=False)
+            members = {Path(path).stem: loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
+            variables = {key: value if value.ndim else value.item() for key, value in members.items()}
         except ValueError:
             fix = "save an array of each needle: numpy.savez(file, n1=points1, n2=points2)"
             problem = "holds an array of Python objects, or a damaged one"
@@ -124,4 +125,4 @@ def _read_hdf_value(file: Any, item: Any) -> Any:  # noqa: ANN401 - h5py has no 
     return np.asarray(item[()]).T
 
 
-MAT = FileFormat("mat", (".mat", ".npz"), read_curves)
+MAT = FileFormat("mat", (".mat", ".npz", ".npy", ".h5", ".hdf5"), read_curves)

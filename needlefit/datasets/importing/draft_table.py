@@ -444,8 +444,8 @@ def _leave(name: str | int) -> dict[str, str]:
 
 
 def _read_column(text: str, parts: Sequence[str]) -> Header:
-    """Return what the texts above a column mean: all together, else one of them."""
-    read_headers = [read_header(header) for header in dict.fromkeys((text, *parts)) if header]
+    """Return what the texts above a column mean: all together, else one of them, the lowest first."""
+    read_headers = [read_header(header) for header in dict.fromkeys((text, *reversed(parts))) if header]
     best = next((header for header in read_headers if header.is_known), Header(text))
     unit = best.unit or next((header.unit for header in read_headers if header.unit), "")
     return replace(best, text=text, unit=unit)

@@ -187,8 +187,9 @@ def read_header(text: str) -> Header:
         return Header(text, meaning, unit=known_unit or ("" if usual in UNITS_MM else usual))
     words = [_TRACKER_AXES.get(word, word) for word in words]
     axes = [word for word in words if word in [*"xyz"]]
-    if any(_look_up("column", [word])[0] == "quaternion" for word in words):
-        return Header(text, "quaternion", unit=unit)  # `poses[3]/orientation/x`
+    named = {_look_up("column", [word])[0] for word in words}
+    if "quaternion" in named or ("bevel_side" in named and {*"xyzw"} & {*words}):
+        return Header(text, "quaternion", unit=unit)  # `poses[3]/orientation/x`, `Rotation X`
     if len(axes) != 1:
         return Header(text, unit=unit)
     rest = [word for word in words if word != axes[0] and not find_meaning("filler", word)]

@@ -278,7 +278,7 @@ def read_structured(path: Path) -> Table:
             raise DataError("there is no such file", fix="check the name and the path", where=path)
         raise DataError(
             f"has the ending {path.suffix!r}, which is not read",
-            expected="a table, a workbook, .mat, .npz, .json, .jsonl, markups of Slicer, or an RT structure",
+            expected="a table, a workbook, .mat, .h5, .npz, .npy, .json, .jsonl, markups, or an RT structure",
             fix=EXPORTS.get(path.suffix.lower(), EXPORTS["other"]),
             where=path,
         )
