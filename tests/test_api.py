@@ -75,12 +75,12 @@ def test_a_run_is_saved_loaded_and_predicted_from(sampled, tmp_path, monkeypatch
 @pytest.mark.usefixtures("few_draws")
 def test_draws_outside_the_model_determine_nothing(world, monkeypatch):
     from needlefit.studies.kinds.cross_validation import fold as cross_validation
+    from needlefit.studies.needle_placement import FittedDraws
 
     monkeypatch.chdir(world.folder)
     known = needlefit.fit("gel").frames["parameters"].query("method == 'fitted'")
-    monkeypatch.setattr(
-        cross_validation, "find_outside_validity", lambda problem, thetas: np.ones(len(thetas), dtype=bool)
-    )
+    outside = FittedDraws(np.ones(400, dtype=bool), {})
+    monkeypatch.setattr(cross_validation, "simulate_fitted_draws", lambda *args, **given: outside)
     found = needlefit.fit("gel").frames["parameters"].query("method == 'fitted'")
     assert "yes" in set(known["determined"]) and not {"yes", "only together"} & set(found["determined"])
     assert found["value"].tolist() == known["value"].tolist()

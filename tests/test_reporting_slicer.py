@@ -22,7 +22,7 @@ from needlefit.reporting.slicer import write_needles
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.load import load_study
-from needlefit.studies.needle_placement import place_needles
+from needlefit.studies.needle_placement import place_needles, simulate_fitted_draws
 from needlefit.studies.observations import HeldOutPrediction
 
 __all__ = ["project"]  # a fixture
@@ -39,9 +39,10 @@ def fitted(tmp_path_factory):
     return job, fold, fit
 
 
-def place(fitted, *args):
+def place(fitted, draws=None, *args):
     job, fold, fit = fitted
-    return {one.insertion: one for one in place_needles(job.problem(fold), fold, fit, *args)}
+    simulated = draws and simulate_fitted_draws(job.problem(fold), draws)
+    return {one.insertion: one for one in place_needles(job.problem(fold), fold, fit, simulated, *args)}
 
 
 def test_every_needle_is_in_the_world_of_its_dataset(fitted):

@@ -21,12 +21,13 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.curves import integrate_curvature
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.inference.forward_model import predict
-from needlefit.inference.problem import find_outside_validity
+from needlefit.inference.predict import Draws
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_warnings import list_outside, tabulate_validity
 from needlefit.studies.kinds.cross_validation import run as cross_validation_run
 from needlefit.studies.kinds.cross_validation.run import Settings, run
+from needlefit.studies.needle_placement import simulate_fitted_draws
 from needlefit.studies.score import Scorer, curve_predictor, make_predictors, model_predictor
 
 MEDIUM = (PROJECT / "configs/media/gel.toml").read_text()
@@ -116,13 +117,13 @@ STEEP = {**TRUTH, "bevel_mm": 0.9}
 def test_parameter_sets_are_outside_where_any_of_their_needles_is():
     problem = two_layers(count=2)
     thetas = [problem.parameters.theta({**TRUTH, "bevel_mm": b}) for b in (0.02, 0.08, 0.5, 0.9)]
-    found = find_outside_validity(problem, thetas)
+    found = simulate_fitted_draws(problem, Draws(np.array(thetas), "importance"), bands=False).outside
     for theta, beyond in zip(thetas, found, strict=True):
         values = problem.values(theta)
         shapes = [predict(values, problem.medium, one) for one in problem.insertions]
         assert beyond == any(shape.converged and not shape.valid for shape in shapes)
     assert not found[0] and found[-1]
-    assert find_outside_validity(problem, []).shape == (0,)
+    assert simulate_fitted_draws(problem, Draws(np.empty((0, 0)), "importance")).outside.shape == (0,)
     assert all(np.isfinite(problem.objective(theta)) for theta in thetas)  # nothing is penalised
 
 

@@ -187,15 +187,21 @@ class PreparedModel:
         read_values = self._read(sets, s, lambda batches: simulate_batches(batches, jobs), read)
         return (points for (points,) in read_values)
 
-    def find_outside_validity(self, sets: Sequence[Mapping[str, float]]) -> Iterator[Bools]:
-        """Return, one by one, which needles (B,) of each insertion are outside the model's validity."""
+    def read_needles(
+        self, sets: Sequence[Mapping[str, float]], s: Sequence[Floats], jobs: int = 1
+    ) -> Iterator[tuple[Floats, Bools]]:
+        """Return, one by one, the points (B, K, 3) in C of the needles in each insertion at its `s` (K,), mm.
 
-        def read(simulation: _Simulation, shapes: NeedleShapes, places: Floats, rows: slice) -> tuple[Bools]:
-            return (shapes.converged & ~shapes.validity.ok,)
+        And which of the needles (B,) are outside the model's validity. Where the solve failed points are NaN.
+        """
 
-        nowhere = [np.empty(0)] * len(self._places)
-        found = self._read(sets, nowhere, lambda batches: simulate_batches(batches, 1), read)
-        return (outside for (outside,) in found)
+        def read(
+            simulation: _Simulation, shapes: NeedleShapes, places: Floats, rows: slice
+        ) -> tuple[Floats, Bools]:
+            return compute_batch_positions(shapes, places), shapes.converged & ~shapes.validity.ok
+
+        needles = self._read(sets, s, lambda batches: simulate_batches(batches, jobs), read)
+        return ((points, outside) for points, outside in needles)
 
     def differentiate(
         self, sets: Sequence[Mapping[str, float]], parameters: Parameters, s: Sequence[Floats], jobs: int = 1
@@ -288,10 +294,14 @@ class PreparedModel:
 def make_batch(
     sets: Sequence[Mapping[str, float]], medium: MediumRecord, insertion: Insertion, boundaries: Floats
 ) -> Batch:
-    """Return an insertion with B sets of values and the boundaries of each, (B, n - 1), mm."""
+    """Return an insertion with B sets of values and the boundaries of each, (B, n - 1), mm.
+
+    It is solved to the usual tolerance: nothing is differentiated.
+    """
     simulation = _Simulation(replace(insertion, bevel_factor=1.0), [insertion.bevel_factor])
     stacked = simulation.stack_sets(tabulate_sets(sets), medium)
-    return simulation.make_batch(sets[0], {**stacked, "boundaries": boundaries}, medium)
+    needle, tissue, steps, _ = make_simulation_inputs(sets[0], medium, simulation.insertion)
+    return Batch(needle, tissue, steps, make_options(medium), boundaries=boundaries, **stacked)
 
 
 GAIN_STEP = 0.1  #: part of a move of the guide by which it is changed to simulate its effect, which is linear

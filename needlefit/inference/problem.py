@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from needlefit.arrays import Bools, Floats
+from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
@@ -351,17 +351,3 @@ def make_posterior_objective(
         misfits=problem.compute_misfits,
         absolute_tolerance=absolute_tolerance,
     )
-
-
-def find_outside_validity(problem: Problem, thetas: Sequence[Theta] | Floats) -> Bools:
-    """Return a mask (B,): the `thetas` (B, P) that simulate any insertion outside the model's validity.
-
-    A solve that fails is none of these: it is counted as failed.
-    """
-    is_outside = np.zeros(len(thetas), dtype=bool)
-    if not len(thetas):
-        return is_outside
-    sets = [problem.values(theta) for theta in thetas]
-    for outside in PreparedModel(problem.medium, problem.insertions).find_outside_validity(sets):
-        is_outside |= outside
-    return is_outside

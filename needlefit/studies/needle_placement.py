@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.geometry.frames import Placement
@@ -22,13 +22,13 @@ from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.likelihood.observations import SimulatedCurve, align, select_points
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
-from needlefit.mechanics.batch import compute_batch_positions
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.studies.observations import HeldOutPrediction
 
 NEEDLE_POINTS = 51  # points of a fitted needle and of its band
 BAND_PROBABILITY = 0.95
 BAND_CURVES = ("low", "middle", "high")
+NOWHERE: Floats = np.empty(0)
 
 
 #: Of the table "needles": every insertion held out, or, of a single fold, any, point by point in its scan.
@@ -52,13 +52,56 @@ class NeedleInScan:
     curves: Mapping[str, Floats]
 
 
+@dataclass(frozen=True)
+class FittedDraws:
+    """The needles of draws in the insertions that were fitted to."""
+
+    outside: Bools  # (B,); whether any needle of the draw is outside the model's validity
+    # by insertion y and z (3, K, 2) of `BAND_CURVES`, in C, mm, at `NEEDLE_POINTS` points of the needle
+    bands: Mapping[str, Floats]
+
+
+def simulate_fitted_draws(
+    problem: Problem, draws: Draws, jobs: int = 1, *, bands: bool = True
+) -> FittedDraws:
+    """Return the needles of draws (B, P) in all insertions of a problem: if wanted, with their bands.
+
+    A solve that fails is not outside the validity: it is counted as failed. Draws that are not certified have
+    no bands, nor have tip tracks.
+    """
+    dataset, bands = problem.dataset, bands and draws.certified is not None
+    outside, found = np.zeros(len(draws.thetas), dtype=np.bool_), dict[str, Floats]()
+    if not len(outside):
+        return FittedDraws(outside, found)
+    placed = [bands and not insertion.in_tracker_frame for insertion in problem.insertions]
+    places = [
+        select_points(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
+        if is_placed
+        else NOWHERE
+        for insertion, is_placed in zip(problem.insertions, placed, strict=True)
+    ]
+    sets = [problem.values(theta) for theta in draws.thetas]
+    model = PreparedModel(problem.medium, problem.insertions)
+    needles = model.read_needles(sets, places, jobs)
+    for insertion, s, (points, is_outside) in zip(problem.insertions, places, needles, strict=True):
+        outside |= is_outside
+        solved = points[np.isfinite(points).all(axis=(1, 2))]  # (B, K, 3)
+        if len(s) and len(solved):
+            aligned = np.array([place_points(dataset, insertion, s, needle) for needle in solved])
+            across, band = np.median(aligned[..., 2], axis=0), find_bands(aligned[..., 1])
+            below, above = band.ends(BAND_PROBABILITY)
+            found[insertion.id] = np.array(
+                [np.column_stack([y, across]) for y in (below, band.median, above)]
+            )
+    return FittedDraws(outside, found)
+
+
 def place_needles(
     problem: Problem,
     fold: Fold,
     fit: Fit,
-    draws: Draws | None = None,
+    draws: FittedDraws | None = None,
     predicted: Iterable[HeldOutPrediction] = (),
-    jobs: int = 1,
     *,
     fitted: bool = True,
 ) -> Iterator[NeedleInScan]:
@@ -80,8 +123,9 @@ def place_needles(
             points = None if curve is None else place_points(dataset, insertion, s, curve(s))
             if prediction is not None:
                 band = _find_predicted_band(insertion, prediction.rows.get("bands", ()))
-            elif role == "tune" and points is not None and draws is not None and draws.certified is not None:
-                band = _find_band_of_draws(problem, insertion, s, points[:, 0], draws.thetas, jobs)
+            elif role == "tune" and points is not None and draws is not None:
+                across = draws.bands.get(insertion.id, ())
+                band = [np.column_stack([points[:, 0], part]) for part in across]
             source = "posterior" if prediction is None else "predicted"
             fitted_curve = {} if points is None else {"fitted": placement.to_patient(points)}
             yield NeedleInScan(
@@ -132,21 +176,6 @@ def _find_predicted_band(insertion: Insertion, rows: Sequence[Mapping[str, Any]]
     shift = np.interp(x, *insertion.points.T[:2]) - measured
     across = np.array([row.get("median_z_mm", 0.0) for row in rows])
     return [np.column_stack([x, y + shift, across]) for y in heights]
-
-
-def _find_band_of_draws(
-    problem: Problem, insertion: Insertion, s: Floats, x: Floats, thetas: Floats, jobs: int
-) -> list[Floats]:
-    """Return the band over the needles of draws, in C, at the fitted one's x (K,); empty without any."""
-    sets = [problem.parameters.values(theta) for theta in thetas]
-    (shapes,) = PreparedModel(problem.medium, [insertion]).simulate(sets, jobs)
-    needles = compute_batch_positions(shapes, s)[shapes.converged]  # (B, K, 3)
-    if not len(needles):
-        return []
-    aligned = np.array([place_points(problem.dataset, insertion, s, needle) for needle in needles])
-    across, bands = np.median(aligned[..., 2], axis=0), find_bands(aligned[..., 1])
-    below, above = bands.ends(BAND_PROBABILITY)
-    return [np.column_stack([x, y, across]) for y in (below, bands.median, above)]
 
 
 def tabulate_needles_in_scan(needles: Iterable[NeedleInScan]) -> pd.DataFrame:

@@ -39,17 +39,24 @@ SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
 Predictor = Callable[[Insertion], Mapping[str, Curve | None]]
 
 
-def model_predictor(values: Mapping[str, float], medium: MediumRecord) -> Predictor:
+def model_predictor(
+    values: Mapping[str, float], medium: MediumRecord, predicted: Mapping[str, Curve | None] | None = None
+) -> Predictor:
     """Return the method that simulates with given parameter values.
 
     Where the layers are surfaces it is scored twice: with the measured crossings, as the paper does,
-    though they leak a held-out needle's outcome, and with the crossings of the planned needle.
+    though they leak a held-out needle's outcome, and with the crossings of the planned needle. Some of the
+    latter may be `predicted` before, by insertion.
     """
+    before = predicted or {}
 
     def curves(insertion: Insertion) -> dict[str, Curve | None]:
-        measured = {"measured": _simulate(values, medium, insertion)}
-        planned = {"planned": predict_needle(values, medium, insertion)} if insertion.surfaces else {}
-        return measured | planned
+        found = {"measured": _simulate(values, medium, insertion)}
+        if insertion.id in before:
+            found["planned"] = before[insertion.id]
+        elif insertion.surfaces:
+            found["planned"] = predict_needle(values, medium, insertion)
+        return found
 
     return curves
 
@@ -71,13 +78,23 @@ def curve_predictor(curve: Callable[[Insertion], Curve]) -> Predictor:
 
 
 def make_predictors(
-    problem: Problem, fits: Mapping[str, Fit], hand_tuned: Mapping[str, float] | None
+    problem: Problem,
+    fits: Mapping[str, Fit],
+    hand_tuned: Mapping[str, float] | None,
+    predicted: Mapping[str, Curve | None] | None = None,
 ) -> dict[str, Predictor]:
-    """Return the fits, the paper's set, and the baseline curves."""
+    """Return the fits, the paper's set, and the baseline curves.
+
+    `predicted`: needles of the fit by insertion, through the layers that they meet, where they are known.
+    """
     values = {name: fit.values for name, fit in fits.items()}
     if hand_tuned is not None:
         values["hand_tuned"] = hand_tuned
-    models = {name: model_predictor(values[name], problem.medium) for name in MODEL_METHODS if name in values}
+    models = {
+        name: model_predictor(values[name], problem.medium, predicted if name == "fitted" else None)
+        for name in MODEL_METHODS
+        if name in values
+    }
 
     @cache
     def fit(needle: Needle) -> Mapping[str, FittedBaseline]:

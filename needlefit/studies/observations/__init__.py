@@ -44,7 +44,7 @@ class HeldOutPrediction:
 
     Where "errors" is none of them, `curve` is scored as every method's is. `simulations` counts those that
     were solved, one a draw. `point` is which needle is reported, and `curve` that needle in C, mm: None where
-    it has no solution, or without bands.
+    it has no solution, or without bands. `mode` is the needle of the posterior mode, likewise.
     """
 
     insertion: str
@@ -52,6 +52,7 @@ class HeldOutPrediction:
     simulations: CountMetadata
     point: PointPrediction | None = None
     curve: Curve | None = None
+    mode: Curve | None = None
 
 
 @dataclass(frozen=True)

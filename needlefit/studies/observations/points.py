@@ -233,8 +233,8 @@ class _Predictor:
 
     def _choose_needle(
         self, insertion: Insertion, s: Floats, drawn: Floats
-    ) -> tuple[PointPrediction, Curve | None]:
-        """Return which needle is reported, and its curve; `drawn` (B, K, 3) are those of draws at `s`."""
+    ) -> tuple[PointPrediction, Curve | None, Curve | None]:
+        """Return which needle is reported, its curve, and the mode's; draws are `drawn` (B, K, 3) at `s`."""
         job, mode = self.specimens.job, self.specimens.mode_in(insertion)
         problem, across = job.problem(self.specimens.fold), slice(1, 1 + job.dataset.directions)
         assert mode is not None
@@ -247,14 +247,14 @@ class _Predictor:
             return np.full_like(drawn[0, :, across], np.nan) if curve is None else curve(s)[:, across]
 
         if (needle := simulate(mode)) is None:
-            return PointPrediction(), None
+            return PointPrediction(), None, None
         point = choose_point(problem, mode, drawn[..., across], predict)
         if not point.is_median:
-            return point, needle
+            return point, needle, needle
         places, median = s, point.take(needle(s), drawn)
         if places[0] > 0:  # of a tip or of sensors; the needle begins at the entry
             places, median = np.append(0.0, s), np.vstack([np.zeros(3), median])
-        return point, PchipInterpolator(places, median)
+        return point, PchipInterpolator(places, median), needle
 
     def _simulate(
         self,

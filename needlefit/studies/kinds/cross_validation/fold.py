@@ -28,7 +28,7 @@ from needlefit.inference.identifiability.identify import (
 )
 from needlefit.inference.likelihood.observations import Curve
 from needlefit.inference.predict import Draws
-from needlefit.inference.problem import Problem, find_outside_validity
+from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.checkpoint import Checkpoint
 from needlefit.project.progress import Progress, no_progress
@@ -57,7 +57,7 @@ from needlefit.studies.kinds.cross_validation.rows import (
     list_published,
     make_start_row,
 )
-from needlefit.studies.needle_placement import NeedleInScan, place_needles
+from needlefit.studies.needle_placement import FittedDraws, NeedleInScan, place_needles, simulate_fitted_draws
 from needlefit.studies.observations import STUDIED, HeldOutPrediction, Tables, find_studied, predict_held_out
 from needlefit.studies.run import PREDICTION_METHOD, TUNED_SPECIMENS
 from needlefit.studies.score import make_predictors, make_scorer, predict_needle
@@ -153,7 +153,28 @@ class FoldDrawn:
     shown: Draws  #: as many as figures show
     posterior: Posterior | None  #: if it was asked for
     predicted: tuple[HeldOutPrediction, ...]
-    count: CountMetadata  #: of the draws that are shown
+    fitted: FittedDraws  #: the needles of the draws that are shown
+
+    @property
+    def count(self) -> CountMetadata:
+        """Numbers of the draws that are shown, and of those outside the model's validity."""
+        outside = self.fitted.outside
+        return CountMetadata(simulations=len(outside), outside=int(outside.sum()))
+
+    def list_modes(self, fit: Fit) -> dict[str, Curve | None]:
+        """Return the needles of the posterior mode, by insertion held out, where that is the fit."""
+        modes = {
+            insertion.id: mode
+            for insertion in self.specimens.fold.validate
+            if insertion.surfaces and (mode := self.specimens.mode_in(insertion)) is not None
+        }
+        return {
+            name: prediction.mode
+            for prediction in self.predicted
+            if prediction.point is not None
+            and (name := prediction.insertion) in modes
+            and np.array_equal(modes[name], fit.theta)
+        }
 
 
 @dataclass(frozen=True)
@@ -211,9 +232,10 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     }
     needles: Iterable[NeedleInScan] = ()
     if fitted is not None:
-        shown, jobs = None if drawn is None else drawn.shown, services.settings.jobs
         several = len(job.folds) > 1  # of which only what they hold out is placed
-        needles = place_needles(problem, fold, fitted, shown, predicted, jobs, fitted=not several)
+        needles = place_needles(
+            problem, fold, fitted, drawn.fitted if drawn else None, predicted, fitted=not several
+        )
     return FoldResult(
         rows=rows,
         needles=tuple(needles),
@@ -356,14 +378,13 @@ def _draw(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices)
     step(0)
     predicted = predict_held_out(specimens, bands=True, step=step)
     shown = specimens.replace_mean(made.shown)
-    outside = find_outside_validity(job.problem(fold), shown.thetas)
     return FoldDrawn(
         specimens,
         specimens.replace_mean(made.draws),
         shown,
         made.posterior if settings.sample else None,
         tuple(predicted),
-        CountMetadata(simulations=len(outside), outside=int(outside.sum())),
+        simulate_fitted_draws(job.problem(fold), shown, settings.jobs, bands=len(job.folds) == 1),
     )
 
 
@@ -473,11 +494,13 @@ def _score(job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | Non
     """Yield the scores of every method on every insertion, then of our predictions."""
     scorer, problem = make_scorer(job), job.problem(fold)
     held = [insertion for insertion in fold.validate if not find_studied(insertion).has_errors]
-    for method, curves in make_predictors(problem, fits, job.hand_tuned).items():
+    fit = fits.get("fitted")
+    modes = drawn.list_modes(fit) if drawn and fit else {}
+    for method, curves in make_predictors(problem, fits, job.hand_tuned, modes).items():
         for role, insertions in (("tune", fold.tune), ("validate", held)):
             place = {"fold": fold.name, "role": role, "method": method}
             yield from (scorer.score(place, insertion, curves) for insertion in insertions)
-    if (fit := fits.get("fitted")) is None:
+    if fit is None:
         return
     predicted = (
         {} if drawn is None else {insertion.insertion: insertion.curve for insertion in drawn.predicted}
