@@ -66,6 +66,9 @@ EXAMPLE_SHEET, SETUP_SHEET, GUIDE_SHEET = "example", "setup", "read me"
 MAPPING_TEXTS = ("title", "source", "license", "entry", "bevel", "guide")  # values that are no columns
 
 
+_PAIR = re.compile(r"[-\d.,]* *(?:±|\+/-) *[\d.,]*")  # `0.6 ± 0.1`, also in parts between blanks
+
+
 def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path]]:
     """Return the proposed mapping of files and of the readable files of folders, and these files.
 
@@ -300,6 +303,13 @@ def _draft_grid(grid: Table, keys: Keys, draft: Draft) -> None:
     if not any(map(any, grid.rows)):
         draft.unused.append((f"sheet {grid.sheet}" if grid.sheet else f"file {grid.path.name}", "empty"))
         return
+    if pair := next((row for row in grid.rows if any(map(_PAIR.fullmatch, row))), None):
+        raise DataError(
+            f"a cell holds a number and its deviation: {' '.join(pair)[:80]}",
+            expected="one number in each cell",
+            fix="write deviations in a column of their own, SD",
+            where=grid.where,
+        )
     if _states_values(grid):
         is_head = any(find_meaning("heading", text) for text in grid.rows[0])
         keys |= {"layout": "pairs", "holds": "facts", "of": "all", "header_rows": [1] if is_head else []}
