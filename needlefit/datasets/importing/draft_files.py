@@ -66,7 +66,7 @@ EXAMPLE_SHEET, SETUP_SHEET, GUIDE_SHEET = "example", "setup", "read me"
 MAPPING_TEXTS = ("title", "source", "license", "entry", "bevel", "guide")  # values that are no columns
 
 
-_PAIR = re.compile(r"[-\d.,]* *(?:±|\+/-) *[\d.,]*")  # `0.6 ± 0.1`, also in parts between blanks
+_PAIR = re.compile(r"\d *(?:±|\+/-) *[\d.]")  # `0.6 ± 0.1`
 
 
 def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path]]:
@@ -303,7 +303,7 @@ def _draft_grid(grid: Table, keys: Keys, draft: Draft) -> None:
     if not any(map(any, grid.rows)):
         draft.unused.append((f"sheet {grid.sheet}" if grid.sheet else f"file {grid.path.name}", "empty"))
         return
-    if pair := next((row for row in grid.rows if any(map(_PAIR.fullmatch, row))), None):
+    if pair := next((row for row in grid.rows if any(map(_PAIR.search, row))), None):
         raise DataError(
             f"a cell holds a number and its deviation: {' '.join(pair)[:80]}",
             expected="one number in each cell",
