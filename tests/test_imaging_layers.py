@@ -188,7 +188,7 @@ def test_depths_count_along_c_and_deviations_grow_as_the_needle_grazes(tmp_path)
         )
         assert across.sd[0] == approx(0.2 * math.tan(angle), abs=1e-9)
     layers = find_crossed_layers(NEEDLE, HOME, (tilted(89.9),), LayerErrors(0.1, np.zeros(len(NEEDLE))))
-    assert layers.sd[0] == approx(0.1 / 0.02)
+    assert layers.sd[0] == approx(0.1 / math.cos(math.radians(89.9)), rel=1e-6)
     errors = LayerErrors(0.4, np.zeros(len(NEEDLE)), along=0.3)
     assert find_crossed_layers(NEEDLE, HOME, (tilted(0),), errors).sd[0] == approx(0.5)
 

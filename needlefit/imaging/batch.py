@@ -89,7 +89,8 @@ def reconstruct_all(
     found: dict[int, tuple[Result, ...]] = {}
 
     def report(stage: str, done: int = 0, total: int = 1) -> None:
-        batch.progress(stage, 100 * len(found) + 100 * done // total, 100 * len(scans))
+        share = (len(found) + done / total) * STAGES["quality page"]
+        batch.progress(stage, round(share), 100 * len(scans))
 
     report("reconstructing")
     work = partial(reconstruct_needles, recipe=recipe, every=batch.every)
@@ -121,7 +122,8 @@ def reconstruct_needles(
     for n, part in enumerate(needles):
 
         def report(stage: str, n: int = n, id_: str = part.id) -> None:
-            progress(f"{id_}: {stage}", 100 * n + STAGES[stage], 100 * len(needles))
+            share = n + STAGES[stage] / STAGES["quality page"]
+            progress(f"{id_}: {stage}", round(100 * share), 100 * len(needles))
 
         found.append(_try_step(part, partial(_reconstruct_needle, search, part, report)))
     return tuple(found)

@@ -46,7 +46,7 @@ class HU:
     GUIDE_STEP = 50.0  # change behind a guide as bright as tissue; layers of gels differ by less
     STEP = 20.0  # least change inside soft material, and of air in a narrow gap from its level [R]
     METAL = 1000.0  # bone of a hand is darker, metal and glass are brighter
-    METAL_CONTRAST = 500.0  # by which metal stands out from tissue, and tissue from air, at least
+    METAL_CONTRAST = METAL / 2  # half of the way from tissue to metal, or from air to tissue: as edges show
     HUB = 1500.0  # of a metal hub, least [S]
     CLIPPED = 3071.0  # the largest number of 12 bits; streaks beyond a tip are less bright or dark
 
@@ -62,22 +62,21 @@ class MM:
     # that has no level, and a streak beyond the tip fades; edges are fitted over four times that
     BLUR_REACH = 2.0
     # Within which voxels show one thing: air between soft runs is longer, and the shaft outside begins there
-    BLUR_CORE = 1.0
+    BLUR_CORE = BLUR_REACH / 2
     # Within which the blur of an edge shows: thinner guides show no step, a needle is faint, an end this near
     # to the volume's face has left it, and so far behind its bevel its tip is fitted
     EDGE_BLUR = 3.0
     EDGE_SD = 0.02  # of an edge that no scatter shows: a kernel's sides are not alike [G]
-    FOAM = 5.0  # least length of foam or lung: a shorter run between air and tissue is their blur
     SHAFT = 5.0  # least length of shaft outside the tissue that shows an axis
     REACH = 80.0  # along the needle to the tissue's surface, or to a hub
     # Of what a scanner shows of an end, which the model does not: of a tip, across it, and of a guide's faces
     MODEL_SD = 0.05  # [R] [G]
     # Of a face that streaks of metal, or a film of air behind it, may hide, and of a thin guide's end [G]
     HIDDEN_FACE_SD = 0.15
-    # Within which a place, or a thickness, is the one that is stated, or seen otherwise; so near to air or
-    # metal their blur shows
-    MATCH = 1.5
-    BEVEL_MARGIN = 1.2  # by which a needle may look shorter at its end
+    # To either side of an edge: within it a place, or a thickness, is the one that is stated, or seen
+    # otherwise, and the blur of air or metal shows
+    MATCH = EDGE_BLUR / 2
+    BEVEL_MARGIN = PATCH / 2  # by which a needle may look shorter at its end: half of where its blur ends
     GRID_SD = 0.005  # of an axis or a ball, that no scatter shows: the voxel grid, rays [R]
     # Beyond a needle's end, where it is looked for: in slices with 4 mm one of 9 tips moved by 0.17 mm [S]
     BEYOND_END = 5.0
@@ -88,10 +87,11 @@ class MM:
     HUB_LENGTH = 4.0  # least; so much of it shows its axis
     THICK_SLICE = 0.6 + 1e-9  # thinner slices show the needle in several at once
     FLAT_SLICE = 0.5 - 1e-9  # of slices, where voxels are longer than wide
-    RIM = 1.9  # from the needle, where its surroundings begin
+    RIM = PATCH - STATION  # from the needle, where its surroundings begin: the last voxel of the patch
     DARK = 6.0  # of a needle that rays darken, at most; longer rays show themselves rather than the bevel [R]
     END_MOMENT = 5.0  # lever of the shear force at the end: the tip itself carries no moment
-    HIDDEN = 15.0  # of a needle that rays hide: at its end, behind a hub, or between two pieces [R]
+    # Of a needle that rays hide, at its end, behind a hub, or between two pieces: its spline goes on [R]
+    HIDDEN = 2 * KNOT
     SWING_SD = 0.1  # by which a needle leaves its shaft's course within its bevel
     LEAST_SLICE_BLUR = 0.2  # of scanners, across slices
     STREAK_RADIUS = 0.8  # deviation of a streak across [R]
@@ -102,20 +102,16 @@ class MM:
 class PART:
     """Fractions and factors, without a unit."""
 
-    ELONGATION = 6.0  # length of a needle over its width, least
     WIDENING = 2.5  # width of a needle's image over its own [R]
-    SEED = 1 / 3  # of a needle's least length, from which on pieces are joined
     SECOND_NEEDLE = 0.6  # of the longest one's length and brightness
     DIVIDED_NEEDLE = 0.4  # the same, where all needles are wanted
-    CLEAR_WIDTH = 1.5  # of two widths that are not of one thing
+    CLEAR = 1.5  # of two widths, or soft lengths, that are not of one thing
     # Of the way from tissue to metal; the last where a plate hangs together with the needle
     THRESHOLDS = (0.4, 0.25, 0.15, 0.7)
     BRIGHTEST = 0.97  # of the brightest of something, beyond which all is as bright
     FAINT = 0.3  # of a needle's brightness: fainter sections show none
     FIRST_NOISE = 0.05  # of a ball's brightness, before the noise is known
     SHOWN = 0.5  # of a cross-section in the volume, and of the way between points on which a needle shows
-    CLEAR_SOFT = 2.0  # of soft lengths at both ends, of which the longer is the tip's
-    CHORD_COSINE = 0.5  # of the axis to its chord: steered needles bend by 90 degrees in all
     REFUSED_MISFIT = 0.32  # of an end's image: needles alone have 0.31 at most, with a ball at the end 0.33
     END_MISFIT = 0.14  # of an end's image, that is spoken of
     SLICE_MISFIT = 0.4  # of slices that are fitted as a whole [S]
@@ -133,10 +129,16 @@ class PART:
     SLICE_SD = 0.02
     BALL_DIAMETERS = (0.65, 1.45)  # of a ball of as many voxels over that sought [R]
     BALL_ELONGATION = 2.0  # longest over shortest extent of what may be a ball
-    AIR = 0.02  # of a scan's voxels, beyond which its air shows
-    LOOSE = 0.02  # of a layer's volume in islands and cavities, that is not spoken of
-    PAIRED = 0.6  # of the smaller set of markers: few among many are part of something else
+    LOOSE = 0.02  # of a layer in islands and cavities, or of a scan in air, that is not spoken of
     TOLERANCE = 1e-3  # of a fit's cost and parameters, at which it ends: an end moves by less than 0.01 mm
+
+
+class PROBABILITY:
+    """Probabilities of an error that is tolerated."""
+
+    # That noise as stated makes the right pairing of markers look too bad, shows a step where there is none,
+    # or makes another pairing look right
+    FALSE_ALARM = 1e-4
 
 
 class SD:

@@ -22,7 +22,8 @@ from pydicom.uid import UID
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError, located
-from needlefit.imaging.volume import MAX_LISTED, SPACINGS_MM, VoxelGrid, check_grid, orthogonalize
+from needlefit.imaging.volume import SPACINGS_MM, VoxelGrid, check_grid, orthogonalize
+from needlefit.project.folders import MAX_LISTED_FILES
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
 from needlefit.project.reader_process import Arrays, allow_memory
 
@@ -207,7 +208,7 @@ def find_series(path: Path, series: str | None) -> list[DicomSlice]:
             chosen = [*filter(wanted, chosen)] or chosen
     if len(chosen) == 1:
         return chosen[0]
-    listed = "; ".join(_describe(group, path) for group in [*(chosen or groups.values())][:MAX_LISTED])
+    listed = "; ".join(_describe(group, path) for group in [*(chosen or groups.values())][:MAX_LISTED_FILES])
     called = f" {series}" if series else ""
     raise DataError(
         f"holds {len(chosen) or 'no'} series{called} of DICOM images{listed and f': {listed}'}",

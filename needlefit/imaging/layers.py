@@ -25,7 +25,7 @@ from needlefit.datasets.layers import compute_depths, find_hole, find_surface_fa
 from needlefit.errors import DataError, located
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.geometry.frames import RAS_TO_LPS, Frame, to_unit
+from needlefit.geometry.frames import PARALLEL_SINE, RAS_TO_LPS, Frame, to_unit
 from needlefit.geometry.meshes import extract_solid
 from needlefit.geometry.surfaces import (
     Surface,
@@ -43,13 +43,12 @@ from needlefit.imaging.volume import VoxelGrid, to_index, to_patient
 from needlefit.imaging.volume_files import explain_missing_packages
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-CELL_MM = 1.25  # edge of the cells that marching cubes goes through, as near as whole voxels come to it, mm
 SMOOTHING_SD_MM = 0.6  # standard deviation of the smoothing, mm; at least as many voxels
-MIN_TAIL = 1e-3  # averages nearer to 0 or 1 than this say nothing of the distance any more
-# No boundary comes nearer to the centre of a cell than this, in standard deviations of the smoothing: in a
-# file, triangles smaller than its digits would fall together.
-MIN_CORNER_DISTANCE_SD = 0.01
-MARGIN_CELLS = 3  # cells around the labels: what leaves the volume is closed there
+# Edge of the cells that marching cubes goes through, as near as whole voxels come to it, mm.
+CELL_MM = 2 * SMOOTHING_SD_MM
+# No boundary comes nearer to the centre of a cell than a voxel grid shows, in standard deviations of the
+# smoothing: in a file, triangles smaller than its digits would fall together.
+MIN_CORNER_DISTANCE_SD = MM.GRID_SD / SMOOTHING_SD_MM
 
 
 def extract_label_surfaces(path: Path, names: Sequence[str] = ()) -> tuple[Surface, ...]:
@@ -79,13 +78,14 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
 
     spacing = labels.volume.spacing[::-1]
     block = np.maximum(np.rint(CELL_MM / spacing), 1).astype(np.int64)
-    before = MARGIN_CELLS * block
+    before = block  # around the labels: what leaves the volume is closed there
     pads = [(b, int(b + (-size) % step)) for b, size, step in zip(before, mask.shape, block, strict=True)]
     cells = block_reduce(np.pad(mask, pads), tuple(block.tolist()), np.mean)
     width = np.maximum(SMOOTHING_SD_MM, spacing) / (block * spacing)
-    average = gaussian_filter(cells.astype(np.float32), width)
+    average = gaussian_filter(cells.astype(np.float32), width, mode="constant")
     # inverse of the smoothing of a plane; 0 and 1 would become infinite
-    distance = ndtri(np.clip(average, MIN_TAIL, 1 - MIN_TAIL))
+    least = np.finfo(average.dtype).eps
+    distance = ndtri(np.clip(average, least, 1 - least))
     distance = np.where(
         np.abs(distance) < MIN_CORNER_DISTANCE_SD, np.copysign(MIN_CORNER_DISTANCE_SD, distance), distance
     )
@@ -136,10 +136,6 @@ def read_mesh(source: LayerSource, into: int, all_faults: list[Fault]) -> Surfac
         return None
     stands_in_ras = read_coordinate_system(source.path) == "RAS"
     return transform_surface(surface, RAS_TO_LPS) if stands_in_ras else surface
-
-
-# Least cosine between needle and normal: a needle that lies in a surface crosses it anywhere.
-MIN_CROSSING_COSINE = 0.02
 
 
 def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tuple[Surface, ...]:
@@ -271,6 +267,7 @@ def find_crossed_layers(
         covariances = target_covariance(errors.registration, in_patient)
         sideways = normals - cosines[:, None] * tangents
         variances += np.einsum("ni,nij,nj->n", sideways, covariances, sideways)
-    along = np.abs(tangents @ frame.rotation[:, 0]) / np.maximum(np.abs(cosines), MIN_CROSSING_COSINE)
+    # a needle that lies in a surface crosses it anywhere
+    along = np.abs(tangents @ frame.rotation[:, 0]) / np.maximum(np.abs(cosines), PARALLEL_SINE)
     sd: Floats = np.hypot(along * np.sqrt(variances), errors.along)
     return Layers(surfaces, compute_depths(crossed.points, frame), sd, crossed.points, crossed.sequence)

@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.errors import DataError
-from needlefit.imaging.bright_voxels import BrightVoxels
+from needlefit.imaging.bright_voxels import MAX_LISTED_VOXELS, BrightVoxels
 from needlefit.imaging.constants import HU, MM, PART, SCANNER, SD
 from needlefit.imaging.point_spread import average_spreads
 from needlefit.imaging.reconstruction import MarkerResult
@@ -23,7 +23,6 @@ from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, measure_face_distance, require_inside, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-MAX_BRIGHT_VOXELS = 4_000_000  # largest number of voxels above a level; with more the level separates nothing
 LEVEL_RATIO = 1.35  # ratio of one level above tissue to the one before
 
 
@@ -76,13 +75,13 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
     listed = volume.list_bright(levels[0])
     wanted = _voxel_count(volume, PART.BALL_DIAMETERS[0] * diameter)
     counts = {level: np.count_nonzero(listed.values > level) for level in levels}
-    levels = [level for level, count in counts.items() if wanted <= count <= MAX_BRIGHT_VOXELS]
+    levels = [level for level, count in counts.items() if wanted <= count <= MAX_LISTED_VOXELS]
     if not levels:
         raise DataError(
             "; ".join(f"{count} voxels exceed {level:.0f} HU" for level, count in counts.items()),
             expected=(
                 f"the {wanted:.0f} voxels or more of a ball of {diameter:g} mm, and no "
-                f"more than {MAX_BRIGHT_VOXELS:.0g} in all"
+                f"more than {MAX_LISTED_VOXELS:.0g} in all"
             ),
             fix=(
                 "check that the scan holds the markers and is in HU; set "

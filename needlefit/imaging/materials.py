@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation, binary_opening
 from scipy.optimize import curve_fit
 from scipy.signal import find_peaks
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from needlefit.arrays import Floats, Ints
-from needlefit.imaging.constants import HU, MM, PART, SCANNER, SD
+from needlefit.imaging.constants import HU, MM, PART, PROBABILITY, SCANNER, SD
 from needlefit.imaging.needle.axis_spline import (
     PLANE_SPACING_MM,
     correlation_factor,
@@ -69,7 +69,7 @@ def find_runs(profile: IntensityProfile, least: float = MM.BLUR_REACH) -> tuple[
         return ()
     step = float(np.median(np.diff(s)))
     kinds = np.where(values > HU.METAL, 2, np.where(values < HU.GAP, 0, 1))
-    foam = np.ones(1 + round(MM.FOAM / step), bool)
+    foam = np.ones(1 + round(2 * MM.BLUR_REACH / step), bool)  # what is shorter is blur
     kinds[binary_opening((values > HU.LIGHT) & (kinds == 0), foam)] = 1
     bloom = np.ones(1 + 2 * round(MM.BLUR_REACH / step), bool)
     kinds[binary_dilation(kinds == 2, bloom) & (kinds == 1)] = 2
@@ -128,7 +128,7 @@ def _fit_edge(
     shows no level: air has its own.
     """
     s, values = _known_stations(profile)
-    gap, guess = runs[target - 1], runs[target].begin
+    gap, guess, step = runs[target - 1], runs[target].begin, float(np.median(np.diff(s)))
     narrow = target > 1 and gap.length < 2 * MM.BLUR_REACH
     clear = min(MM.EDGE_BLUR, gap.length / 2) if target > 1 else 0.0
     reach = 4 * MM.BLUR_REACH
@@ -138,7 +138,7 @@ def _fit_edge(
     near = (s >= before) & (s <= after)
     s, values = s[near], values[near]
     air, soft = values[s < guess], values[s >= guess]
-    if not len(air) or len(soft) < MIN_STEP_STATIONS:
+    if not len(air) or len(soft) * step < MM.BLUR_CORE:
         return None
     low, high = HU.AIR if narrow else float(np.median(air)), float(np.median(soft))
     if high - low < HU.METAL_CONTRAST:
@@ -169,14 +169,10 @@ def _fit_edge(
     variance = covariance[0, 0] * correlation_factor(left[:, None], len(best))
     # an edge sharper than the stations are dense leaves no slope: it lies between two, where the misfit
     # in parts of its height says
-    step, sd = float(np.median(np.diff(s))), np.sqrt(variance)
+    sd = np.sqrt(variance)
     if best[1] < step:
         sd = min(sd, step * np.sqrt(np.mean(left**2)) / (best[3] - best[2]))
     return float(best[0]), float(np.hypot(min(sd, max(step, best[1]) / np.sqrt(12)), MM.EDGE_SD))
-
-
-MIN_STEP_SD = 5.0  # deviations of its own noise that a step exceeds
-MIN_STEP_STATIONS = 3  # stations on either side of a step
 
 
 @lru_cache(maxsize=2)
@@ -188,18 +184,20 @@ def find_steps(profile: IntensityProfile) -> tuple[float, ...]:
         low = run.begin + MM.MATCH * (n > 0)
         high = run.end - MM.MATCH * (n < len(runs) - 1)
         inside = (s >= low) & (s <= high)
-        if run.kind == "soft" and inside.sum() > 2 * MIN_STEP_STATIONS:
+        if run.kind == "soft" and inside.any() and np.ptp(s[inside]) >= MM.EDGE_BLUR:
             found += _find_steps_within(s[inside], values[inside])
     return tuple(found)
 
 
 def _find_steps_within(s: Floats, values: Floats) -> list[float]:
     """Return the steps of soft material at stations `s` (n,), the most significant of neighbours."""
-    places = np.arange(s[MIN_STEP_STATIONS - 1], s[-MIN_STEP_STATIONS], np.median(np.diff(s)) / 2)
+    places = np.arange(s[0] + MM.BLUR_CORE, s[-1] - MM.BLUR_CORE, np.median(np.diff(s)) / 2)
     changes, sds, alike = np.array([_fit_step(s, values, place) for place in places]).reshape(-1, 3).T
     clear = np.abs(changes) / np.maximum(sds, 1e-9)
     sure = clear / np.sqrt(alike)  # the scatter of a sum of correlated stations, where it is clearest
-    shown = np.where((np.abs(changes) >= HU.STEP) & (sure >= MIN_STEP_SD), clear, 0.0)
+    # of noise alone none of the places shows a step, but for that probability
+    least = -ndtri(PROBABILITY.FALSE_ALARM / 2 / len(places))
+    shown = np.where((np.abs(changes) >= HU.STEP) & (sure >= least), clear, 0.0)
     apart = 2 * MM.EDGE_BLUR / np.median(np.diff(s))
     return places[find_peaks([0.0, *shown, 0.0], distance=1 + apart)[0] - 1].tolist()
 

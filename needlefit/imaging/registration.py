@@ -27,13 +27,10 @@ from scipy.special import chdtrc, chdtri, elliprg
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
 from needlefit.geometry.frames import AXIS_SIGNS, Frame
-from needlefit.imaging.constants import PART, SD
+from needlefit.imaging.constants import PROBABILITY, SD
 
-# Probability that the noise as stated makes the right pairing look too bad to be believed.
-FALSE_ALARM_PROBABILITY = 1e-4
-MAX_WRONG_PAIRING_PROBABILITY = 1e-3  # of another pairing that is tolerated
-# Chi-squared by which an alternative must be worse to leave no more than that doubt.
-MIN_CHI2_GAP = 2 * np.log(1 / MAX_WRONG_PAIRING_PROBABILITY)
+# Chi-squared by which another pairing must be worse to be as unlikely as is tolerated.
+MIN_CHI2_GAP = -2 * np.log(PROBABILITY.FALSE_ALARM)
 MAX_PAIRINGS = 50_000  # pairings that are kept at once; beyond, the markers are too alike or too many
 MAX_TURN_SD_RAD = 0.1  # deviation of a turn, rad, from which on the markers count as lying on a line
 
@@ -94,11 +91,11 @@ def register(
             where="markers",
         )
     odds = sum(np.exp((best.chi2 - other.chi2) / 2) for other in others)
-    if odds / (1 + odds) > MAX_WRONG_PAIRING_PROBABILITY:
+    if odds / (1 + odds) > PROBABILITY.FALSE_ALARM:
         raise DataError(
             f"{1 + len(others)} pairings of {len(best.pairs)} markers are likely, the best two leave "
             f"{best.fre:.2f} and {others[0].fre:.2f} mm",
-            expected="one pairing that is at least 1000 times as likely as all others together",
+            expected="one pairing that is at least 10 000 times as likely as all others together",
             fix="move or add a marker so that no two distances are alike",
             where="markers",
         )
@@ -119,11 +116,11 @@ def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registr
     found or known, to a different one. DataError if none fits.
     """
     most = min(len(found), len(known))
-    # three among many agree by chance, unless one of the sets has no more
-    least = max(4, int(np.ceil(PART.PAIRED * most)))
+    # few among many are part of something else, and three agree by chance, unless a set has no more
+    least = max(4, most // 2 + 1)
     changes = cdist(found, found)[:, None, :, None] - cdist(known, known)[:, None]
     for count in range(most, min(most, least) - 1, -1):
-        limit = float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))  # that a right pairing hardly exceeds
+        limit = float(chdtri(3 * count - 6, PROBABILITY.FALSE_ALARM))  # that a right pairing hardly exceeds
         # two pairs of variances v that change a distance by D cost at least D^2 / (v_1 + v_2) in chi-squared
         near = changes**2 <= (limit + MIN_CHI2_GAP) * (variance[..., None, None] + variance)  # (M, N, M, N)
         listed = [np.array(pairs) for pairs in islice(list_pairings(near, count), MAX_PAIRINGS + 1)]

@@ -11,7 +11,6 @@ from needlefit.errors import DataError, located
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import is_image_file, open_member, read_labels_file
 
-MAX_SEGMENTS = 64  # layers of a segmentation; a volume with more labels is a scan
 EXPECTED_LABELS = (
     "a .seg.nrrd, or another volume (NRRD, NIfTI, MetaImage) of a whole number for each voxel's layer, 0 "
     "outside the tissue"
@@ -52,7 +51,7 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
         volume, texts = read_labels_file(place)
         present = sorted(set().union(*(np.unique(plane).tolist() for plane in volume.values)) - {0.0})
         are_labels = all(0 < value < 2**16 and value.is_integer() for value in present)
-        if not are_labels or not 1 <= len(present) <= MAX_SEGMENTS:
+        if not are_labels or not 1 <= len(present) <= np.iinfo(np.uint8).max:
             many = "holds {} labels: this is a scan, from {:g} to {:g}"
             none = "holds no label: all voxels are 0"
             problem = many.format(len(present), present[0], present[-1]) if present else none

@@ -156,7 +156,6 @@ def check_size(size: tuple[int, int, int]) -> None:
         )
 
 
-MAX_LISTED = 10  # files or series that a message names
 IMAGE_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
 ARCHIVE_SUFFIX = ".zip"
 READABLE_VOLUMES = (
@@ -224,8 +223,8 @@ class Volume:
         if not PART.BRIGHTEST <= top / HU.CLIPPED <= 1 / PART.BRIGHTEST:
             return None
         bright = np.concatenate([plane[plane > PART.BRIGHTEST * top] for plane in self.values])
-        shared = np.count_nonzero(bright == top)
-        return top if len(bright) >= MIN_BRIGHTEST and shared < MAX_SHARED_FRACTION * len(bright) else None
+        shared = np.count_nonzero(bright == top)  # most of them, where the scanner has cut them
+        return top if len(bright) > MAX_EQUAL and 2 * shared < len(bright) else None
 
 
 def turn_slices(volume: Volume) -> Volume:
@@ -300,11 +299,7 @@ def require_inside(volume: Volume, points: Floats, kind: str) -> None:
         )
 
 
-# Metal that is cut at it has it in nearly all of its brightest voxels: of those above a part of the top, at
-# least `MIN_BRIGHTEST`, fewer than `MAX_SHARED_FRACTION` have it in a scan that was resampled.
 MAX_EQUAL = 3  # voxels around a thing that have its largest value by chance
-MIN_BRIGHTEST = 20  # voxels
-MAX_SHARED_FRACTION = 0.85  # of the brightest voxels
 
 
 def doubt_air(volume: Volume) -> Iterator[str]:
@@ -315,7 +310,7 @@ def doubt_air(volume: Volume) -> Iterator[str]:
     """
     some = volume.values[::3, ::3, ::3]
     dark = some[(some > float(some.min())) & (some < HU.GAP)]
-    level = float(np.median(dark)) if dark.size > PART.AIR * some.size else HU.AIR
+    level = float(np.median(dark)) if dark.size > PART.LOOSE * some.size else HU.AIR
     if not HU.AIR_RANGE[0] <= level <= HU.AIR_RANGE[1]:
         yield (
             f"the values may be no Hounsfield units: the darkest material, unless it is lung or foam, has "

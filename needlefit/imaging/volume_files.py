@@ -12,12 +12,12 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.volume import (
     ARCHIVE_SUFFIX,
     IMAGE_SUFFIXES,
-    MAX_LISTED,
     READABLE_VOLUMES,
     Volume,
     begins_as_dicom,
     max_voxels,
 )
+from needlefit.project.folders import MAX_LISTED_FILES
 from needlefit.project.input_files import MAX_FOLDER_FILES, list_files, open_regular, path_exists
 from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process
 
@@ -106,7 +106,7 @@ def _choose_member(folder: Path, series: str | None) -> Path:
     if series is not None or not images:
         return folder
     if len(images) > 1 or any(map(begins_as_dicom, files)):
-        names = ", ".join(str(file.relative_to(folder)) for file in files[:MAX_LISTED])
+        names = ", ".join(str(file.relative_to(folder)) for file in files[:MAX_LISTED_FILES])
         raise DataError(
             f"holds {len(files)} files: {names}",
             expected="one image file, or DICOM files alone",

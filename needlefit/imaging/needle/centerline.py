@@ -89,9 +89,9 @@ def trace_needle(
                 f"needle's by {100 * end.misfit:.0f} % of its brightness",
                 expected=f"an end that is surrounded by tissue, at most {100 * PART.REFUSED_MISFIT:.0f} %",
                 fix=(
-                    "look at it: scan without a marker or other metal there, state "
-                    "needle.diameter_mm and needle.bevel_deg; or place the tip in 3D Slicer "
-                    "(--corrections)"
+                    "look at it: export the series with a softer kernel, scan without a marker or "
+                    "other metal there, state needle.diameter_mm and needle.bevel_deg; or place the "
+                    "tip in 3D Slicer (--corrections)"
                 ),
                 where=f"L, P, S = {', '.join(f'{x:.0f}' for x in end.point)} mm",
             )
@@ -124,7 +124,7 @@ def refuse_fold(points: Floats) -> None:
     ways = np.diff(points, axis=0)
     chord = points[-1] - points[0]
     cosines = ways @ chord / (np.linalg.norm(ways, axis=1) * np.linalg.norm(chord))
-    if cosines.min() < PART.CHORD_COSINE:
+    if cosines.min() < 0:
         at = points[int(np.argmin(cosines))]
         turn = float(np.degrees(np.arccos(cosines.min())))
         raise DataError(
@@ -215,7 +215,7 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
     where = "; ".join(", ".join(f"{x:.0f}" for x in end) for end in ends)
     direction = recipe.centerline.entry_direction
     soft = _soft_lengths(volume, axis)
-    clear = max(soft) >= PART.CLEAR_SOFT * min(soft) and max(soft) > 0
+    clear = max(soft) >= PART.CLEAR * min(soft) and max(soft) > 0
     forward = soft[1] > soft[0]
     if direction is not None:
         forward = bool((ends[1] - ends[0]) @ np.asarray(direction) > 0)

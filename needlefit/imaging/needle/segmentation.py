@@ -12,14 +12,11 @@ from scipy.spatial import cKDTree
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.errors import DataError
+from needlefit.imaging.bright_voxels import MAX_LISTED_VOXELS
 from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import FEWEST, ROUNDS, AxisSpline
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
-
-# Of a component whose box holds more, wide parts are looked for on every second, third, ... voxel: distances
-# would take several times the volume's memory.
-MAX_BOX_VOXELS = 2**24
 
 
 def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]:
@@ -32,7 +29,8 @@ def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]
     """
     low = voxels.min(axis=0) - 1
     size = voxels.max(axis=0) - low + 2
-    every = int(np.ceil((np.prod(size, dtype=np.float64) / MAX_BOX_VOXELS) ** (1 / 3)))
+    # of a large box every second, third, ... voxel
+    every = int(np.ceil((np.prod(size, dtype=np.float64) / MAX_LISTED_VOXELS) ** (1 / 3)))
     mask = np.zeros(size, dtype=np.bool_)
     mask[tuple((voxels - low).T)] = True
     radius, step, spacing = max_width / 2, float(volume.spacing.min()), every * volume.spacing
@@ -81,10 +79,10 @@ def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
     for low, high in list_thresholds(volume, recipe):
         parts = cut_components(volume, find_components(volume, low, high), recipe)
         parts.sort(key=lambda part: part.length, reverse=True)
-        left, joined = [part for part in parts if is_tube(part, recipe, PART.SEED)], list[Component]()
-        while left:
-            tube, own = _join_pieces(volume, left[0], parts, recipe)
-            left = [part for part in left if not any(part is piece for piece in own)]
+        left, joined = parts, list[Component]()
+        while seeds := [part for part in left if is_tube(part, recipe, 2 * MM.EDGE_BLUR)]:
+            tube, own = _join_pieces(volume, seeds[0], left, recipe)
+            left = [part for part in left if not any(part is piece for piece in own)]  # of one needle each
             joined += [tube] if is_tube(tube, recipe) else []
         if joined:
             return sorted(joined, key=lambda tube: tube.length, reverse=True)
@@ -185,14 +183,10 @@ def find_components(volume: Volume, low: float, high: float) -> list[Component]:
     return parts
 
 
-def is_tube(part: Component, recipe: ReconstructionRecord, share: float = 1.0) -> bool:
-    """Return whether a component is long, thin and smooth enough to be the needle, or a `share` of it."""
+def is_tube(part: Component, recipe: ReconstructionRecord, least: float = MM.NEEDLE_LENGTH) -> bool:
+    """Return whether a component is smooth, as thin as a needle, and `least` mm long or longer."""
     width = PART.WIDENING * recipe.needle.diameter_mm
-    return (
-        part.length >= share * max(MM.NEEDLE_LENGTH, PART.ELONGATION * part.width)
-        and part.width <= width
-        and part.bend <= width / 2
-    )
+    return part.length >= least and part.width <= width and part.bend <= width / 2
 
 
 def principal_axes(points: Floats) -> tuple[Floats, Floats]:
@@ -293,5 +287,5 @@ def list_needles(
     level, length = ratio * tubes[0].values.mean(), ratio * tubes[0].length
     alike = [part for part in tubes if part.length >= length and part.values.mean() >= level]
     misses = [abs(math.log(part.width / diameter)) for part in alike]
-    clear = min(misses) + math.log(PART.CLEAR_WIDTH)
+    clear = min(misses) + math.log(PART.CLEAR)
     return [part for part, miss in zip(alike, misses, strict=True) if miss < clear]

@@ -16,6 +16,7 @@ from needlefit.errors import ConfigError
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
 from needlefit.imaging.corrections import LIST_NAME, list_control_points
+from needlefit.imaging.reconstruct import STAGES
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import write_scan_table
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
@@ -323,7 +324,9 @@ def write_reconstruction(
         ):  # to correct one needle, and for the next run
             write_scan_table([reconstruction.scan for reconstruction in kept], fresh / SCANS_FILE, folder)
         for done, reconstruction in enumerate(kept):
-            progress(f"{reconstruction.scan.id}: quality page", done, len(kept))
+            begun = STAGES["quality page"]
+            percent = begun * len(kept) + (100 - begun) * done
+            progress(f"{reconstruction.scan.id}: quality page", percent, 100 * len(kept))
             write_scan(reconstruction, fresh / "slicer")
             write_control_points(list_control_points(reconstruction), fresh / "slicer")
             write_quality(
