@@ -122,7 +122,7 @@ def _simulate(
     jobs: int,
     judged: bool = True,
 ) -> DrawnNeedles:
-    parts = []
+    parts, table = [], tabulate_sets(sets)
     for rows, boundaries, sequence in met:
         if max(sequence) > medium.layers:  # the needle leaves the medium
             continue
@@ -132,7 +132,8 @@ def _simulate(
             moved = enforce_order(boundaries[alike] + wrong[some, : boundaries.shape[1]] + error)
             depth = insertion.depth + error
             planned = replace(insertion, depth=depth, sequence=sequence, boundaries=moved[0])
-            batch = make_batch([sets[n] for n in some.tolist()], medium, planned, moved)
+            values = {name: column[some] for name, column in table.items()}
+            batch = make_batch(values, medium, planned, moved)
             parts.append((some, batch, s + error))
     return _read_needles(len(sets), len(s), parts, jobs, judged)
 

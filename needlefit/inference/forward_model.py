@@ -292,15 +292,16 @@ class PreparedModel:
 
 
 def make_batch(
-    sets: Sequence[Mapping[str, float]], medium: MediumRecord, insertion: Insertion, boundaries: Floats
+    table: Mapping[str, Floats], medium: MediumRecord, insertion: Insertion, boundaries: Floats
 ) -> Batch:
-    """Return an insertion with B sets of values and the boundaries of each, (B, n - 1), mm.
+    """Return an insertion with B values of each parameter, (B,), and boundaries (B, n - 1), mm.
 
     It is solved to the usual tolerance: nothing is differentiated.
     """
     simulation = _Simulation(replace(insertion, bevel_factor=1.0), [insertion.bevel_factor])
-    stacked = simulation.stack_sets(tabulate_sets(sets), medium)
-    needle, tissue, steps, _ = make_simulation_inputs(sets[0], medium, simulation.insertion)
+    stacked = simulation.stack_sets(table, medium)
+    first = {name: float(column[0]) for name, column in table.items()}
+    needle, tissue, steps, _ = make_simulation_inputs(first, medium, simulation.insertion)
     return Batch(needle, tissue, steps, make_options(medium), boundaries=boundaries, **stacked)
 
 

@@ -385,12 +385,14 @@ def _make_effort(
     for _ in range(LAST_PROPOSALS * adapted):
         components = int(last.effective_sample_size / LAST_ESS_PER_COMPONENT)
         proposal = first.add_fitted(last, rng, max(components, effort.components), LAST_SHARE)
-        thetas, density, total = np.empty((0, len(bounds[0]))), np.empty(0), -math.inf
+        thetas, density, log_proposed = np.empty((0, len(bounds[0]))), np.empty(0), np.empty(0)
+        total = -math.inf
         for _ in range(math.ceil(LAST_DRAWS * effort.min_ess / DRAWS_AT_ONCE)):
             new, log_tries = proposal.draw_inside(DRAWS_AT_ONCE, rng)
             thetas, density = np.concatenate([thetas, new]), np.concatenate([density, log_density(new)])
+            log_proposed = np.concatenate([log_proposed, proposal.log_density(new)])
             total = np.logaddexp(total, log_tries)
-            last = _weigh(thetas, density, total + proposal.log_density(thetas), effort.min_ess, proposal)
+            last = _weigh(thetas, density, total + log_proposed, effort.min_ess, proposal)
             if last.certified:
                 return last
     return replace(draws, min_ess=effort.min_ess)  # of draws to which a proposal was fitted
