@@ -22,7 +22,7 @@ from needlefit.project import cluster, locate, tasks
 from needlefit.project.cluster import connect_cluster, require_secured
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.processes import THREAD_VARIABLES
-from needlefit.project.tasks import LocalPool, compute_beside
+from needlefit.project.tasks import LocalPool, compute_beside, compute_in_copies
 from tests.cluster_processes import start_scheduler, start_worker
 from tests.cluster_work import fail, kill_once, nap, square, wait_for_stop
 
@@ -135,6 +135,14 @@ def run_in_order(work, items, pool):
 def test_results_come_in_order():
     found = compute([lambda n=n: tell_process(n) for n in range(40)])
     assert [int(one.split()[0]) for one in found] == list(range(40))
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_items_shared_with_copies_come_back_in_order(monkeypatch, cores, jobs):
+    monkeypatch.setattr(tasks, "count_cores", lambda: cores)
+    assert compute_in_copies(square, [3, 1, 2], jobs) == [9, 1, 4]
+    assert compute_in_copies(square, [], jobs) == []
 
 
 def test_what_a_copy_cannot_do_is_done_here_and_errors_are_raised():

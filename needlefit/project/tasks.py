@@ -20,9 +20,10 @@ from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, 
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from multiprocessing import get_context
 from multiprocessing.synchronize import Event
+from operator import itemgetter
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol, TypeVar
 
@@ -162,15 +163,31 @@ def run_parts(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
+def compute_in_copies(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> list[Result]:
+    """Return what `work` makes of items in this process and copies of it, `jobs` in all.
+
+    See `compute_beside`; without copies, threads of this process compute it.
+    """
+    if jobs == 1 or not can_fork():
+        return [result for _, result in sorted(run_parts(work, items, jobs), key=itemgetter(0))]
+    pieces = [partial(_dump_result, work, item) for item in items]
+    with compute_beside(pieces, copies=min(jobs, len(items)) - 1) as finish:
+        return [pickle.loads(data) for data in finish()]  # noqa: S301  from copies of this process
+
+
+def _dump_result(work: Callable[[Item], object], item: Item) -> bytes:
+    return pickle.dumps(work(item))
+
+
 @contextmanager
 def compute_beside(
-    work: Sequence[Callable[[], bytes]], stop: Stop = never_stop
+    work: Sequence[Callable[[], bytes]], stop: Stop = never_stop, copies: int = 1
 ) -> "Iterator[Callable[[], list[bytes]]]":
-    """Begin pieces of work in a copy of this process; yield a function that returns what they give.
+    """Begin pieces of work in copies of this process; yield a function that returns what they give.
 
     Until it is called this process may do other work. It then takes its share, the last pieces first. What
-    failed in the copy is repeated here, so that its errors are raised here. Work must not wait for threads of
-    this process, which the copy lacks: those of typst among them. In the copy `stop_requested` is true once
+    failed in a copy is repeated here, so that its errors are raised here. Work must not wait for threads of
+    this process, which a copy lacks: those of typst among them. In a copy `stop_requested` is true once
     `stop` was asked for, or nobody wants the rest.
     """
     with ExitStack() as stack:
@@ -179,7 +196,7 @@ def compute_beside(
         if len(work) > 1 and can_fork():
             _Surroundings.work = work
             with suppress(OSError):  # without a copy all is done here
-                pool, event = stack.enter_context(_open_processes(1))
+                pool, event = stack.enter_context(_open_processes(copies))
                 futures = [pool.submit(_run_piece, n) for n in range(len(work))]
             _Surroundings.work = ()
 

@@ -52,7 +52,7 @@ from needlefit.inference.predict import (
 )
 from needlefit.inference.problem import Problem
 from needlefit.project.progress import Step
-from needlefit.project.tasks import run_parts
+from needlefit.project.tasks import compute_in_copies
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.recipe import LikelihoodRecord
@@ -103,22 +103,18 @@ def predict_needles(
     given = [insertion for insertion in given if job.dataset.noise.stated or insertion.states_errors]
     if given and specimens.faults and (bands or specimens.separate):
         return
-    side_by_side = max(1, min(jobs, len(given)))
     # what is predicted are the stored points, as they will be measured
     update = {"depths": "fixed", "bevel_spread": 0.0, "measurement": "points"}
     predictor = _Predictor(
         specimens,
         job.recipe.likelihood.model_copy(update=update),
         find_repeats(job.dataset),
-        jobs // side_by_side,
+        math.ceil(jobs / max(1, len(given))),
         bands,
         _choose_representatives(job, filter(specimens.differs, given)) if bands else frozenset(),
     )
-    predictions: dict[int, HeldOutPrediction | None] = {}
-    for n, insertion in run_parts(predictor.predict, given, side_by_side):
-        predictions[n] = insertion
-        step(len(predictions), len(given))
-    yield from filter(None, (predictions[n] for n in range(len(given))))
+    yield from filter(None, compute_in_copies(predictor.predict, given, jobs))
+    step(len(given), len(given))
 
 
 @dataclass(frozen=True)

@@ -152,8 +152,8 @@ class FoldDrawn:
     draws: Draws
     shown: Draws  #: as many as figures show
     posterior: Posterior | None  #: if it was asked for
-    predicted: tuple[HeldOutPrediction, ...]
     fitted: FittedDraws  #: the needles of the draws that are shown
+    predicted: tuple[HeldOutPrediction, ...] = ()
 
     @property
     def count(self) -> CountMetadata:
@@ -273,8 +273,7 @@ def _describe_readings(job: Job, fold: Fold, fit: Fit) -> Iterator[Tables]:
 def fit_fold(job: Job, fold: Fold, services: FoldServices) -> FoldFits:
     """Fit to the insertions of a fold, and draw parameters about the fit.
 
-    While draws are made and insertions predicted, a copy of this process goes on with the other searches and
-    the profiles.
+    While draws are made, a copy of this process goes on with the other searches and the profiles.
     """
     stop = services.settings.stop
     (first, *others), profiles = job.searches, None
@@ -305,6 +304,7 @@ def fit_fold(job: Job, fold: Fold, services: FoldServices) -> FoldFits:
     hidden = [name for name, shift in shifts.items() if shift.is_hidden]
     if len(hidden) < len(shifts) and not interrupted:  # one moves needles of draws, not of the fit
         return fit_fold(job.holding(hidden), fold, services)
+    drawn = None if drawn is None else _predict(fold, drawn, services)
     error_fit = _minimise_errors(job, fold, fits, drawn, services)
     return FoldFits(job, fits, profiles, drawn, error_fit, shifts, interrupted)
 
@@ -362,30 +362,31 @@ def _move_to_better(problem: Problem, fits: Mapping[str, Fit], profiles: FitProf
 
 
 def _draw(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices) -> FoldDrawn | None:
-    """Return draws of a fold's parameters, and the predictions of the insertions that it holds out.
-
-    They are made by draws that are certified. None without a fit, and where a fit alone is interrupted.
-    """
+    """Return draws of a fold's parameters. None without a fit, and where a fit alone is interrupted."""
     settings, fit = services.settings, _find_fit(fits)
     if fit is None or fit.minimized != "posterior" or (settings.stop() and not fold.validate):
         return None  # where no noise is stated there is no posterior
-    sampled, step = (services.progress.phase(fold, phase) for phase in ("posterior draws", "predictions"))
+    sampled = services.progress.phase(fold, "posterior draws")
     sampled(0)
     made = draw_fold_parameters(job, fold, fit, settings, sampled)
     sampled(1)
     callbacks = Callbacks(settings.stop, sampled) if settings.sample else None
     specimens = Specimens(job, fold, made.draws, settings.jobs, callbacks, services.specimens)
-    step(0)
-    predicted = predict_held_out(specimens, bands=True, step=step)
     shown = specimens.replace_mean(made.shown)
     return FoldDrawn(
         specimens,
         specimens.replace_mean(made.draws),
         shown,
         made.posterior if settings.sample else None,
-        tuple(predicted),
         simulate_fitted_draws(job.problem(fold), shown, settings.jobs, bands=len(job.folds) == 1),
     )
+
+
+def _predict(fold: Fold, drawn: FoldDrawn, services: FoldServices) -> FoldDrawn:
+    """Return draws with the predictions of the insertions held out, made by draws that are certified."""
+    step = services.progress.phase(fold, "predictions")
+    step(0)
+    return replace(drawn, predicted=tuple(predict_held_out(drawn.specimens, bands=True, step=step)))
 
 
 def _minimise_errors(
