@@ -25,6 +25,7 @@ from needlefit.datasets.importing.meanings import (
 )
 from needlefit.datasets.importing.tables import Table
 from needlefit.datasets.observations.tip_track import MIN_READINGS
+from needlefit.datasets.points import MIN_POINTS
 from needlefit.grouping import group_values
 from needlefit.project.locate import join_names
 
@@ -204,11 +205,16 @@ class TableDraft:
             column for column in self.all if "specimen" in column.meaning.split("|")
         ]
         has_points = self.groups or {"y", "deflection"} & (self.taken.keys() | proposed.keys())
-        most = len(rows) / 2 if has_points else len(rows)  # needles: a row of a needle states facts of it
-        for column in (*repeated[1:], *specimens[:1]):
+        least = 2 if has_points else 1  # rows of a needle: one states facts of it
+        dividing = [(column, least) for column in (*repeated[1:], *specimens[:1])]
+        dividing += [(column, MIN_POINTS) for column in proposed.get("depth", ())]  # scanned on its way
+        for column, size in dividing:
             counts = [len({tuple(row[part.place] for part in (*chosen, *more)) for row in rows})
                       for more in ((), (column,))]  # fmt: skip
-            chosen += [column] if counts[0] < counts[1] <= most else []
+            if counts[0] < counts[1] <= len(rows) / size:
+                if column.meaning == "depth" and not specimens:
+                    proposed["specimen"] = chosen[:1]  # further scans of a needle are of its specimen
+                chosen = [*chosen, column]
         if len(chosen) > 1:
             self.draft.assumed["needle"] = f"{join_columns(chosen)}: together they name the needles"
         return chosen
