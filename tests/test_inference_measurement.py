@@ -135,3 +135,18 @@ def test_sections_off_the_centreline_or_without_knots_are_refused(scanned, tmp_p
     pairs[2] = (name, replace(some, weights=np.where(some.q > 0.6 * some.q[-1], 0.0, some.weights)))
     (fault,) = check(with_measurement(tmp_path / "m", STORED, pairs))
     assert f"{name}.toml" in fault.where and fault.fix
+
+
+def test_knots_closer_than_points_are_refused(tmp_path):
+    file = with_measurement(tmp_path / "n", 'operator = "spline"\nknot_spacing_mm = 2.0')
+    folder = file.parent / "centerlines"
+    for path in folder.iterdir():  # a point every 3 mm or so
+        head, *lines = path.read_text().splitlines()
+        path.write_text("\n".join([head, *lines[:: len(lines) // 12], lines[-1]][: 1 + 14]) + "\n")
+    text = "".join(line for line in file.read_text().splitlines(True) if not line.startswith('"'))
+    file.write_text(text)
+    (fault,) = check(file)
+    assert f"{file}, key" in fault.where
+    file.write_text(text.replace("knot_spacing_mm = 2.0", "knot_spacing_mm = 8.0"))
+    dataset = read(file)
+    assert all(np.isfinite(make_observation(dataset, one).whitening).all() for one in dataset.insertions)

@@ -43,7 +43,7 @@ from needlefit.datasets.record_warnings import (
     read_assumed,
 )
 from needlefit.datasets.scatter import find_scatter_warnings, mark_interpolated
-from needlefit.datasets.sections import find_sections
+from needlefit.datasets.sections import find_operator_faults, find_sections
 from needlefit.datasets.sources import DatasetFiles, find_checksum_faults, find_dataset_file, find_folder
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
@@ -200,6 +200,8 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
     depth_column = record.insertions.columns.get("depth_mm", "depth_mm")
     faults += find_length_faults(listed, record.frame.pose, depth_column)
     faults += [*find_layer_faults(listed, record, file), *_find_use_faults(record, listed, file)]
+    if not faults:  # of points that have no other fault
+        faults += find_operator_faults(record, [entry for entry in listed if entry.is_curve], file)
     if faults:
         return [], set(), {}
     if record.measurement is None or record.measurement.operator == "none":

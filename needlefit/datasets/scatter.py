@@ -57,7 +57,10 @@ def find_scatter_warnings(
     too_large = scatter < SCATTER_RATIOS[0] * point_sd and not is_smoothed
     if too_large or scatter > SCATTER_RATIOS[1] * stated:
         problem = f"points scatter by {scatter:.2g} mm about smooth curves, and {stated:.2g} mm are stated"
-        yield ResultWarning("noise", problem, place, "state the noise of repeated measurements")
+        fix = "state the noise of repeated measurements" + (
+            ", or under [measurement] what smoothed the points" if too_large else ""
+        )
+        yield ResultWarning("noise", problem, where=place, fix=fix)
 
 
 def find_axis_warnings(checked: Checked) -> Iterator[ResultWarning]:

@@ -1,5 +1,7 @@
 """Read and write the cross-sections through which a reconstruction drew a needle: `sections/<id>.toml`."""
 
+import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -7,11 +9,17 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.faults import Fault
-from needlefit.datasets.insertion import Dataset
-from needlefit.datasets.layers import LENGTH_TOLERANCE_MM
+from needlefit.datasets.insertion import Dataset, select_compared_places
+from needlefit.datasets.layers import LENGTH_TOLERANCE_MM, ListedInsertion
 from needlefit.datasets.observations import HELD
 from needlefit.errors import ConfigError, DataError
-from needlefit.geometry.smoothing_spline import SplineSections, compute_tip, find_empty_pieces
+from needlefit.geometry.smoothing_spline import (
+    DEGREE,
+    SplineSections,
+    compute_tip,
+    find_empty_pieces,
+    make_knots,
+)
 from needlefit.project.toml import dumps, load, locate_key
 from needlefit.schemas.dataset import DatasetRecord, SectionsRecord
 
@@ -20,6 +28,8 @@ SECTIONS_PATTERN = "sections/{id}.toml"
 # How far the tip of the spline through the sections may be from that of the centreline: the sum of
 MAX_TIP_SDS = 5.0  # its standard deviations
 MAX_TIP_MM = 0.05  # mm, for points stored with few digits
+# Largest SD of a Gaussian, as part of the length compared: four SDs then reach over the whole needle.
+MAX_WIDTH_FRACTION = 0.25
 LENGTH_DIGITS = 5  # of mm, behind the point
 WEIGHT_DIGITS = 6  # of weights and deviations
 
@@ -80,6 +90,39 @@ def find_sections(
     return sections, []
 
 
+def find_operator_faults(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], file: Path
+) -> Iterator[Fault]:
+    """Yield a fault if the points of insertions do not suit the knots, or the width of a Gaussian."""
+    stated = record.measurement
+    if stated is None or (stated.knot_spacing_mm is None and stated.width_mm is None):
+        return
+    pose, drop = record.frame.pose, record.frame.drop_proximal_mm
+    insertions = [entry.insertion for entry in listed]
+    compared = {insertion.id: select_compared_places(pose, drop, insertion)[1] for insertion in insertions}
+    spacing = stated.knot_spacing_mm
+    for name, s in () if spacing is None else compared.items():
+        knots = make_knots(s[0], s[-1], spacing or 0.0)
+        if len(s) < len(knots) - DEGREE - 1 or len(find_empty_pieces(s, np.ones(len(s)), knots)):
+            key = "measurement.knot_spacing_mm"
+            yield DataError(
+                f"{key} is {spacing:g}: the points of {name} are too sparse for it",
+                expected="a point between all neighbouring knots",
+                fix="enlarge it, or store the points more densely",
+                where=locate_key(file, key),
+            )
+            return
+    length, name = min((float(np.ptp(s)), name) for name, s in compared.items())
+    most, key = math.floor(100 * MAX_WIDTH_FRACTION * length) / 100, "measurement.width_mm"
+    if stated.width_mm is not None and stated.width_mm > most:
+        yield DataError(
+            f"{key} is {stated.width_mm:g}: too wide for the {length:.3g} mm compared of {name}",
+            expected=f"at most a quarter of that, {most:g}",
+            fix="correct it, or leave out insertions that are too short",
+            where=locate_key(file, key),
+        )
+
+
 def from_record(record: SectionsRecord) -> SplineSections:
     """Return the cross-sections that a file holds."""
     return SplineSections(
@@ -102,6 +145,14 @@ def describe_measurement(dataset: Dataset) -> str:
 
 
 def _describe_points(dataset: Dataset) -> str:
+    stated = dataset.measurement
+    if stated.operator == "gaussian":
+        return f"points smoothed along the needle by a Gaussian of SD {stated.width_mm:g} mm"
+    if stated.operator == "unknown":
+        size = f"SD {stated.bias_sd_mm:g} mm over {stated.bias_length_mm:g} mm"
+        return f"points with an unknown smooth bias, {size}"
+    if stated.operator == "spline" and stated.sections is None:
+        return f"points on a smoothing spline, a knot every {stated.knot_spacing_mm:g} mm"
     sections = [insertion.sections for insertion in dataset.insertions if insertion.sections is not None]
     if not sections:
         return "points of the needle itself, with stated errors"

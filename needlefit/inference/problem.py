@@ -275,9 +275,12 @@ class Problem:
         if one_bevel or BEVEL_SPREAD not in self.parameters.names:
             likelihood = likelihood.model_copy(update={"bevel_spread": 0.0})
         observations = [
-            make_observation(self.dataset, insertion, self.noise, likelihood, self.model_error, self.respond)
+            make_observation(
+                self.dataset, insertion, self.noise, likelihood, len(self.insertions), self.model_error,
+                self.respond,
+            )
             for insertion in self.insertions
-        ]
+        ]  # fmt: skip
         if self.bevels_differ and not one_bevel:
             pairs = zip(observations, bevels, strict=True)
             observations = [

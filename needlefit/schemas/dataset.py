@@ -65,22 +65,48 @@ class NoiseRecord(Record):
         return self
 
 
-class MeasurementRecord(Record):
-    """Smoothing of the shapes before their points were stored (docs/inference.md)."""
+Operator = Literal["none", "spline", "gaussian", "unknown"]
 
-    operator: Literal["none", "spline"] = "none"
-    """What was done to the shape before its points were stored: nothing, or a smoothing spline."""
+
+class MeasurementRecord(Record):
+    """Smoothing of the shapes before their points were stored (docs/inference.md). Each operator needs its
+    own keys.
+    """
+
+    operator: Operator = "none"
+    """What was done to the shape before its points were stored: nothing, a smoothing spline, a Gaussian
+    mean, or an unknown smooth bias."""
     sections: str | None = None
     """spline: files of the cross-sections that it was drawn through, with `{id}`."""
+    knot_spacing_mm: float | None = Field(default=None, ge=1, le=200)
+    """spline, without `sections`: distance between its knots."""
+    width_mm: float | None = Field(default=None, gt=0, le=100)
+    """gaussian: standard deviation of its weights along the needle; at most a quarter of the length
+    compared."""
+    bias_sd_mm: float | None = Field(default=None, gt=0, le=10)
+    """unknown: standard deviation of the bias, which all insertions share."""
+    bias_length_mm: float | None = Field(default=None, ge=1, le=200)
+    """unknown: length over which the bias changes."""
     note: str = ""
     """Free text."""
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
-        if ("{id}" in (self.sections or "")) != (self.operator == "spline"):
-            raise ValueError("operator spline, and no other, needs sections with {id}: sections/{id}.toml")
+        keys = ("sections", "knot_spacing_mm", "width_mm", "bias_sd_mm", "bias_length_mm")
+        if tuple(key for key in keys if getattr(self, key) is not None) not in _OPERATOR_KEYS[self.operator]:
+            wanted = " or ".join(map(" and ".join, _OPERATOR_KEYS[self.operator]))
+            raise ValueError(f"operator {self.operator} needs {wanted or 'nothing'}, and no other key")
+        if self.sections is not None and "{id}" not in self.sections:
+            raise ValueError("sections must hold {id}, e.g. sections/{id}.toml")
         return self
 
+
+_OPERATOR_KEYS: dict[Operator, tuple[tuple[str, ...], ...]] = {
+    "none": ((),),
+    "spline": (("sections",), ("knot_spacing_mm",)),
+    "gaussian": (("width_mm",),),
+    "unknown": (("bias_sd_mm", "bias_length_mm"),),
+}
 
 MIN_SECTIONS, MAX_SECTIONS = 8, 5000  #: cross-sections of one needle
 
@@ -363,7 +389,9 @@ class DatasetRecord(SourceRecord):
         if self.frame.pose == "free" and (self.insertions.turns or self.insertions.curvature):
             raise ValueError('turns and curvatures need the pose of their needle: frame.pose = "known"')
         if self.frame.pose == "free" and self.measurement is not None and self.measurement.sections:
-            raise ValueError('cross-sections stand in the world: they need frame.pose = "known"')
+            raise ValueError(
+                'cross-sections stand in the world: with frame.pose = "free" give measurement.knot_spacing_mm'
+            )
         return self
 
 

@@ -49,8 +49,13 @@ class StatedErrors:
     ----------
     noise : Noise
         That of the dataset, or what replaces it.
+    insertions : int
+        So many are fitted together: they share the bias of an unknown measurement.
     model_error : Discrepancy or None
         Added to the errors of the measurement.
+    smoothed : bool
+        Whether the smoothing that the dataset states is applied to the simulation; else the stored points are
+        taken as the needle's own.
     respond : callable or None
         Gives how points read at s (K,) change with the gain of each of M moves of the guide, (M, K, 3), mm.
     """
@@ -58,7 +63,9 @@ class StatedErrors:
     dataset: Dataset
     noise: Noise
     likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD
+    insertions: int = 1
     model_error: Discrepancy | None = None
+    smoothed: bool = False
     respond: Callable[[Insertion, Floats], Floats] | None = None
 
     @property
@@ -158,6 +165,8 @@ class Observation:
     nodes: Nodes
     #: (c, R) what a deviation of the pose does to the residuals, where `whitening` does not know it
     pose_curves: Floats
+    #: (R,) added to the residuals: what smoothing would do to points that are stored smoothed
+    offset: Floats | float = 0.0
     #: (C, K), in space (C, 2 K), from deflections to what was read; None where these were
     operator: Floats | None = None
 
@@ -239,7 +248,7 @@ def whiten_residuals(observation: Observation, simulated: Floats) -> Floats:
 def whiten_deflections(observation: Observation, deflections: Floats) -> Floats:
     """Return the whitened residuals (..., R) of stacked deflections, without alignment."""
     measured = observation.stack(observation.measured)
-    return (deflections - measured) @ observation.whitening.T
+    return (deflections - measured) @ observation.whitening.T + observation.offset
 
 
 def append_pose_curves(observation: Observation, white: Floats) -> Floats:
@@ -282,11 +291,12 @@ def complete_observation(
     pose: Floats,
     free: Floats,
     operator: Floats | None = None,
+    shift: Floats | None = None,
 ) -> Observation:
     """Return the observation of places measured at beam coordinates `s` (K,), or of C combinations of them.
 
     `pose` (C, c) and `free` (C, f) are as in `Observation`. `operator` (C, K), in space (C, 2 K), leads to
-    the combinations.
+    the combinations; `shift` (C,) is added to those of the simulation.
 
     Raises DataError if the errors leave a place without any.
     """
@@ -296,9 +306,12 @@ def complete_observation(
         raise no_errors_error(errors.dataset, insertion) from None
     depths, varies = errors.likelihood.depths, errors.bevels_vary
     nodes = make_nodes(insertion, s, depths, bevel=varies, constants=len(curves))
+    offset: Floats | float = 0.0 if shift is None else whitening @ shift
     whitening = whitening if operator is None else whitening @ operator
     pose_known = find_pose(errors.dataset.pose, insertion)
-    return Observation(measured, covariance, pose, free, whitening, log_norm, pose_known, nodes, curves)
+    return Observation(
+        measured, covariance, pose, free, whitening, log_norm, pose_known, nodes, curves, offset
+    )
 
 
 def join_observations(first: Observation, other: Observation) -> Observation:
@@ -309,11 +322,13 @@ def join_observations(first: Observation, other: Observation) -> Observation:
     whitening[: first.rows, ~is_other] = first.whitening
     whitening[first.rows :, is_other] = other.whitening
     nothing = np.zeros((len(first.pose_curves), other.rows))
+    offsets = [np.broadcast_to(part.offset, part.rows) for part in (first, other)]
     return replace(
         first,
         measured=np.concatenate([first.measured, other.measured]),
         whitening=whitening,
         log_norm=other.log_norm + first.log_norm,
         nodes=replace(first.nodes, s=np.concatenate([first.nodes.s, other.nodes.s], axis=1)),
+        offset=np.concatenate(offsets),
         pose_curves=np.column_stack([first.pose_curves, nothing]),
     )

@@ -258,6 +258,7 @@ def make_observation(
     insertion: Insertion,
     noise: Noise | None = None,
     likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD,
+    insertions: int = 1,
     model_error: Discrepancy | None = None,
     respond: Callable[[Insertion, Floats], Floats] | None = None,
 ) -> Observation:
@@ -270,7 +271,9 @@ def make_observation(
     """
     smoothed = noise is None and likelihood.measurement == "stored" and likelihood.noise == "correlated"
     dataset = dataset if noise is None else replace(dataset, noise=noise)
-    errors = StatedErrors(dataset, dataset.noise.of(insertion), likelihood, model_error, respond)
+    errors = StatedErrors(
+        dataset, dataset.noise.of(insertion), likelihood, insertions, model_error, smoothed, respond
+    )
     if likelihood.measurement == "curvature":
         return OBSERVATIONS["curvature"].observe(insertion, errors)
     # the cross-sections are what the points were drawn through, and stand in their place alone

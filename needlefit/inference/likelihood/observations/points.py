@@ -10,10 +10,18 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, Noise, select_compared_places
+from needlefit.datasets.insertion import (
+    DEFAULT_MEASUREMENT,
+    Dataset,
+    Insertion,
+    Noise,
+    select_compared_places,
+)
 from needlefit.geometry.curves import select_compared
 from needlefit.geometry.frames import make_tracker_columns
+from needlefit.geometry.smoothing_spline import fit_matrices, make_knots
 from needlefit.inference.likelihood.observation import (
+    Discrepancy,
     Observation,
     StatedErrors,
     complete_observation,
@@ -31,8 +39,24 @@ from needlefit.inference.likelihood.observations import (
     rotate_to_entry_axes,
     turn_about_x,
 )
+from needlefit.schemas.dataset import MeasurementRecord
 
 FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a simulated shape lies whose pose is free, mm
+
+
+def points_operator(measurement: MeasurementRecord, s: Floats) -> Floats | None:
+    """Return the matrix (R, K) that smooths deflections at the arc lengths `s` (K,) of stored points.
+
+    Of a spline it leads to its coefficients; None where the points are the needle's own.
+    """
+    if measurement.operator == "spline" and measurement.knot_spacing_mm is not None:
+        knots = make_knots(s[0], s[-1], measurement.knot_spacing_mm)
+        return fit_matrices(s, np.ones(len(s)), knots).operator
+    if measurement.operator == "gaussian" and measurement.width_mm is not None:
+        # every point stands for the stretch halfway to its neighbours
+        weights = np.gradient(s) * np.exp(-0.5 * ((s[:, None] - s) / measurement.width_mm) ** 2)
+        return weights / weights.sum(axis=1, keepdims=True)
+    return None
 
 
 @dataclass(frozen=True)
@@ -40,6 +64,7 @@ class _Points(ObservationType):
     def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
         """Return the observation of an insertion by its points; DataError if no noise is stated."""
         dataset, noise = errors.dataset, errors.noise
+        measurement = dataset.measurement if errors.smoothed else DEFAULT_MEASUREMENT
         along, s = select_compared_places(dataset.pose, dataset.drop_proximal, insertion, dataset.compared)
         arc, axes = insertion.measure_arc(dataset.compared), insertion.points.T[: 1 + dataset.directions]
         measured = np.column_stack([np.interp(along, arc, axis) for axis in axes])
@@ -47,14 +72,27 @@ class _Points(ObservationType):
         sd = None if insertion.sd is None else np.interp(along, arc, insertion.sd)
         noise = _share_noise(insertion, noise, s)
         cov, free = points_covariance(s, noise, sd), make_tracker_columns(measured[:, 0])  # across, and turn
+        if measurement.bias_sd_mm is not None and measurement.bias_length_mm is not None:
+            # An unknown operator: a smooth bias that all insertions of a fit share. Its covariance counts as
+            # often as there are insertions, so that together they do not average it away.
+            size = measurement.bias_sd_mm * math.sqrt(errors.insertions)
+            cov = cov + Discrepancy(size, measurement.bias_length_mm).covariance(s)
         cov = cov if errors.model_error is None else cov + errors.model_error.covariance(s)
+        operator = points_operator(measurement, s)
+        if operator is not None and measurement.operator == "spline":
+            cov, free = operator @ cov @ operator.T, operator @ free
         cov = block_diag(*[cov] * dataset.directions)
+        operator = None if operator is None else block_diag(*[operator] * dataset.directions)
         pose = np.empty((len(cov), 0))
         if dataset.pose == "known":
             modes, sds = list_pose_modes(insertion, errors, measured)
-            pose, free = split_pose_modes(insertion, modes, sds)
+            pose, free = (_apply(operator, part) for part in split_pose_modes(insertion, modes, sds))
         # else across and turn alone: arc lengths are counted from the tip, so that nothing shifts along them
-        return complete_observation(insertion, errors, s, measured, cov, pose, free)
+        shift = None
+        if measurement.operator == "gaussian":  # what is stored was smoothed already, the simulation was not
+            stored = measured[:, 1:].T.ravel()
+            shift = _apply(operator, stored) - stored
+        return complete_observation(insertion, errors, s, measured, cov, pose, free, operator, shift)
 
     def measure(self, dataset: Dataset, insertion: Insertion, needle: TrueNeedle) -> Insertion | None:
         """Return the insertion with points at the arc lengths of its own; None where the needle bends as no
@@ -92,6 +130,10 @@ def _share_noise(insertion: Insertion, noise: Noise, s: Floats) -> Noise:
         return noise
     independent = insertion.independent * float(np.ptp(s)) / insertion.depth
     return replace(noise, point_sd=noise.point_sd * math.sqrt(max(1.0, len(s) / independent)))
+
+
+def _apply(operator: Floats | None, values: Floats) -> Floats:
+    return values if operator is None else operator @ values
 
 
 POINTS = _Points("points")
