@@ -116,8 +116,9 @@ def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registr
     found or known, to a different one. DataError if none fits.
     """
     most = min(len(found), len(known))
-    # few among many are part of something else, and three agree by chance, unless a set has no more
-    least = max(4, most // 2 + 1)
+    # two thirds or more: few among many are part of something else, and fit where the spacing is wrong, too;
+    # three agree by chance, unless one of the sets has no more
+    least = max(4, most - most // 3)
     changes = cdist(found, found)[:, None, :, None] - cdist(known, known)[:, None]
     for count in range(most, min(most, least) - 1, -1):
         limit = float(chdtri(3 * count - 6, PROBABILITY.FALSE_ALARM))  # that a right pairing hardly exceeds
