@@ -141,8 +141,11 @@ def test_results_come_in_order():
 @pytest.mark.parametrize("jobs", [1, 3])
 def test_items_shared_with_copies_come_back_in_order(monkeypatch, cores, jobs):
     monkeypatch.setattr(tasks, "count_cores", lambda: cores)
-    assert compute_in_copies(square, [3, 1, 2], jobs) == [9, 1, 4]
-    assert compute_in_copies(square, [], jobs) == []
+    steps = list[tuple[int, int]]()
+    assert compute_in_copies(square, [3, 1, 2], jobs, lambda *step: steps.append(step)) == [9, 1, 4]
+    assert steps == sorted(steps) and steps[-1] == (3, 3)
+    assert compute_in_copies(square, [], jobs, lambda *step: steps.append(step)) == []
+    assert steps[-1] == (3, 3)
 
 
 def test_what_a_copy_cannot_do_is_done_here_and_errors_are_raised():

@@ -23,13 +23,12 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 from multiprocessing import get_context
 from multiprocessing.synchronize import Event
-from operator import itemgetter
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol, TypeVar
 
 from needlefit.errors import UnfinishedWorkError
 from needlefit.project.processes import count_cores, end_with, limit_to_one_thread
-from needlefit.project.progress import Stop, never_stop
+from needlefit.project.progress import Step, Stop, never_stop, no_step
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -163,15 +162,21 @@ def run_parts(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def compute_in_copies(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> list[Result]:
+def compute_in_copies(
+    work: Callable[[Item], Result], items: Sequence[Item], jobs: int, step: Step = no_step
+) -> list[Result]:
     """Return what `work` makes of items in this process and copies of it, `jobs` in all.
 
     See `compute_beside`; without copies, threads of this process compute it.
     """
     if jobs == 1 or not can_fork():
-        return [result for _, result in sorted(run_parts(work, items, jobs), key=itemgetter(0))]
+        results = dict[int, Result]()
+        for n, result in run_parts(work, items, jobs):
+            results[n] = result
+            step(len(results), len(items))
+        return [results[n] for n in range(len(items))]
     pieces = [partial(_dump_result, work, item) for item in items]
-    with compute_beside(pieces, copies=min(jobs, len(items)) - 1) as finish:
+    with compute_beside(pieces, copies=min(jobs, len(items)) - 1, step=step) as finish:
         return [pickle.loads(data) for data in finish()]  # noqa: S301  from copies of this process
 
 
@@ -181,7 +186,7 @@ def _dump_result(work: Callable[[Item], object], item: Item) -> bytes:
 
 @contextmanager
 def compute_beside(
-    work: Sequence[Callable[[], bytes]], stop: Stop = never_stop, copies: int = 1
+    work: Sequence[Callable[[], bytes]], stop: Stop = never_stop, copies: int = 1, step: Step = no_step
 ) -> "Iterator[Callable[[], list[bytes]]]":
     """Begin pieces of work in copies of this process; yield a function that returns what they give.
 
@@ -201,10 +206,17 @@ def compute_beside(
             _Surroundings.work = ()
 
         def end() -> list[bytes]:
-            here = {n: work[n]() for n in range(len(work))[::-1] if not futures or futures[n].cancel()}
-            while wait([task for task in futures if not task.cancelled()], STOP_POLL_S).not_done:
+            here = dict[int, bytes]()
+            for n in range(len(work))[::-1]:
+                if not futures or futures[n].cancel():
+                    here[n] = work[n]()
+                    step(len(here) + sum(task.done() and not task.cancelled() for task in futures), len(work))
+            while waiting := wait([task for task in futures if not task.cancelled()], STOP_POLL_S).not_done:
+                step(len(work) - len(waiting), len(work))
                 if event is not None and stop():
                     event.set()
+            if futures:
+                step(len(work), len(work))
             return [
                 here[n] if n in here else task() if futures[n].exception() else futures[n].result()
                 for n, task in enumerate(work)

@@ -113,8 +113,7 @@ def predict_needles(
         bands,
         _choose_representatives(job, filter(specimens.differs, given)) if bands else frozenset(),
     )
-    yield from filter(None, compute_in_copies(predictor.predict, given, jobs))
-    step(len(given), len(given))
+    yield from filter(None, compute_in_copies(predictor.predict, given, jobs, step))
 
 
 @dataclass(frozen=True)
