@@ -1,5 +1,7 @@
 """Tissue laws: what each says by hand, and how truly the kernel's polynomial says it."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from mechanics_cases import NEEDLE, assert_derivatives, draw_shape
@@ -25,6 +27,11 @@ def test_a_table_ends_where_its_law_is_too_steep():
     assert not shape.converged
     with pytest.raises(ModelError, match=r"layer 2.*`fung`.* alpha = 1000"):
         compile_law("fung", np.array([[1.0, 1000.0]]))
+
+
+def test_the_model_page_lists_every_law():
+    page = (Path(__file__).parents[1] / "docs" / "model.md").read_text(encoding="utf-8")
+    assert {*LAWS.names()} <= {line.split("`")[1] for line in page.splitlines() if line.startswith("| `")}
 
 
 def test_tables_of_gent_end_before_its_limit():

@@ -94,7 +94,7 @@ class MediumRecord(FileRecord, AdvanceRecord):
     layers: int = Field(ge=1, le=MAX_LAYERS)
     """Number of layers."""
     law: str = "ogden"
-    """Tissue law: ogden, two_term_ogden, neo_hookean, linear, fung, gent, or one of a plugin."""
+    """Tissue law: ogden, another of docs/model.md, or one of a plugin."""
     thickness_mm: float = Field(default=40.0, gt=0)
     """Thickness h of the tissue that supports the needle on each side."""
     torsional_friction_n: float = Field(default=0.0, ge=0)

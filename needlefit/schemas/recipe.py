@@ -85,7 +85,7 @@ class SampleRecord(Record):
     """How `tune` samples: an ensemble of walkers, from draws by importance, until it has enough draws."""
 
     sampler: str = "emcee"
-    """The sampler: emcee, or one of a plugin."""
+    """The sampler: emcee, another of `inference/sampling/samplers`, or one of a plugin."""
     walkers: int = Field(default=64, ge=8, le=MAX_WALKERS, multiple_of=2)
     """Walkers of the ensemble; at least twice the free parameters are taken."""
     independent_draws: int = Field(default=400, ge=1)

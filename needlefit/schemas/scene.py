@@ -294,7 +294,7 @@ class SceneRecord(FileRecord):
     depth_mm: float | None = Field(default=None, gt=0, le=MAX_NEEDLE_LENGTH_MM)
     """Insertion depth, where there are no `[[steps]]`."""
     law: str = "ogden"
-    """Tissue law: ogden, two_term_ogden, neo_hookean, linear, fung, gent, or one of a plugin."""
+    """Tissue law: ogden, another of docs/model.md, or one of a plugin."""
     torsional_friction_n: float = Field(default=0.0, ge=0)
     """Torque per length (N mm / mm) that a turning shaft overcomes: the tip's roll stays behind the hub's."""
     needle: NeedleRecord
