@@ -148,6 +148,19 @@ def test_items_shared_with_copies_come_back_in_order(monkeypatch, cores, jobs):
     assert steps[-1] == (3, 3)
 
 
+def test_what_killed_copies_have_begun_is_done_here(monkeypatch):
+    here = os.getpid()
+    monkeypatch.setattr(tasks, "count_cores", lambda: 3)
+
+    def work(number):
+        if number == 0 and os.getpid() != here:
+            os.kill(os.getpid(), signal.SIGKILL)
+        time.sleep(0.1)
+        return number
+
+    assert compute_in_copies(work, range(6), 3) == [*range(6)]
+
+
 def test_what_a_copy_cannot_do_is_done_here_and_errors_are_raised():
     here = os.getpid()
 

@@ -190,7 +190,8 @@ def compute_beside(
 ) -> "Iterator[Callable[[], list[bytes]]]":
     """Begin pieces of work in copies of this process; yield a function that returns what they give.
 
-    Until it is called this process may do other work. It then takes its share, the last pieces first. What
+    Until it is called this process may do other work. It then takes its share, the last pieces first. Pieces
+    are taken, not cancelled: CPython 3.11 waits for ever where a copy dies beside a cancelled piece. What
     failed in a copy is repeated here, so that its errors are raised here. Work must not wait for threads of
     this process, which a copy lacks: those of typst among them. In a copy `stop_requested` is true once
     `stop` was asked for, or nobody wants the rest.
@@ -198,8 +199,9 @@ def compute_beside(
     with ExitStack() as stack:
         futures: list[Future[bytes]] = []
         event: Event | None = None
+        taken = get_context().Array("b", len(work))
         if len(work) > 1 and can_fork():
-            _Surroundings.work = work
+            _Surroundings.work, _Surroundings.taken = work, taken
             with suppress(OSError):  # without a copy all is done here
                 pool, event = stack.enter_context(_open_processes(copies))
                 futures = [pool.submit(_run_piece, n) for n in range(len(work))]
@@ -208,10 +210,12 @@ def compute_beside(
         def end() -> list[bytes]:
             here = dict[int, bytes]()
             for n in range(len(work))[::-1]:
-                if not futures or futures[n].cancel():
+                if _take(taken, n):
                     here[n] = work[n]()
-                    step(len(here) + sum(task.done() and not task.cancelled() for task in futures), len(work))
-            while waiting := wait([task for task in futures if not task.cancelled()], STOP_POLL_S).not_done:
+                    beside = [future for m, future in enumerate(futures) if m not in here]
+                    step(len(here) + sum(future.done() for future in beside), len(work))
+            beside = [future for m, future in enumerate(futures) if m not in here]
+            while waiting := wait(beside, STOP_POLL_S).not_done:
                 step(len(work) - len(waiting), len(work))
                 if event is not None and stop():
                     event.set()
@@ -225,14 +229,22 @@ def compute_beside(
         try:
             yield end
         finally:
-            for future in futures:  # after an error nobody wants the rest
-                future.cancel()
+            for n in range(len(work)):  # after an error nobody wants the rest
+                _take(taken, n)
             if event is not None:
                 event.set()
 
 
 def _run_piece(number: int) -> bytes:
-    return _Surroundings.work[number]()
+    return _Surroundings.work[number]() if _take(_Surroundings.taken, number) else b""
+
+
+def _take(taken: Any, number: int) -> bool:  # noqa: ANN401 - an array that processes share has no type
+    """Whether nobody has taken a piece of work yet; it is then taken."""
+    with taken.get_lock():
+        is_free = not taken[number]
+        taken[number] = 1
+    return is_free
 
 
 class _Surroundings:
@@ -241,6 +253,7 @@ class _Surroundings:
     stop: Stop = staticmethod(never_stop)
     stopped = False
     work: Sequence[Callable[[], bytes]] = ()  # what this process was copied for
+    taken: Any = None  # of `work` by this process, or another copy
 
 
 def stop_requested() -> bool:
