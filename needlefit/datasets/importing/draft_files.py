@@ -379,8 +379,9 @@ def _add_entry(columns: TableDraft, kind: RowKind, name: str, taken: Columns) ->
         records.setdefault("needle", {"value": name})
     for meaning, parts in draft.columns.items():
         beside = {key: part for key, part in parts.items() if key != "column"}
-        if meaning in records or (beside.keys() & {"source", "value"} and kind.placer):
-            records[meaning] = records.get(meaning, {}) | beside
+        is_whole = bool(beside.keys() & {"source", "value"})  # of needles, in place of a column
+        if kind.placer if is_whole else meaning in records:
+            records[meaning] = beside if is_whole else records[meaning] | beside
     for meaning, record in records.items():
         of_meaning, is_point = taken.get(meaning, ()), meaning in COORDINATES and has_points
         _add_unit(columns, meaning, record, of_meaning, is_point)

@@ -190,6 +190,8 @@ class TableDraft:
             return ["modulus"] if is_clear else ["medium", "modulus"]
         if is_bore(column.text, self.table.headers):
             return ["inner_diameter"]
+        if meaning == "medium|specimen" and "source" in self.draft.columns.get("specimen", {}):
+            return ["specimen"]  # as files or sheets of the needles are called
         if meaning == "pose" and column.unit == "deg":  # an angle about the needle, no direction of insertion
             return ["bevel_side", ""]
         if meaning == "guide" and "depth" not in headers and self.increases(column):  # of the stage

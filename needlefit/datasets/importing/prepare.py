@@ -1,5 +1,6 @@
 """Prepare an import: a mapping that is given, or drafted and completed; what it reads; and the plan."""
 
+import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -138,7 +139,9 @@ def _load(mapping: Path, assignments: Pairs) -> MappingRecord:
     """Return the mapping of a file, with the values that are stated."""
     record = load(mapping, MappingRecord)
     keys = record.model_dump(mode="json", exclude_defaults=True, by_alias=True)
-    pairs = [(f"values.{key}" if key in VALUES else key, text) for key, text in assignments]
+    pairs = [
+        (f"values.{key}", json.dumps(text)) if key in VALUES else (key, text) for key, text in assignments
+    ]
     return check(override(keys, pairs, str(mapping)), MappingRecord, mapping)
 
 

@@ -115,10 +115,13 @@ class TrackPlacer(Placer):
 
 
 def find_bends(curves: Sequence[ImportedCurve]) -> BendsOfSides:
-    """Return how far runs bend from the direction that fits all of them, else from those of their entries."""
-    fitted = fit_direction([curve.line for curve in curves])
+    """Return how far runs bend from the direction that fits all of them, else from those of their entries.
+
+    Readings until the first turn count: behind it a run bends to another side.
+    """
+    counts = {curve: int(np.cumprod(curve.rolls == curve.rolls[0]).sum()) for curve in curves}
+    fitted = fit_direction([curve.line[:count] for curve, count in counts.items()])
     degree = 2 if fitted is None else 1  # of a parabola, or a line
-    counts = {curve: int(np.cumprod(curve.rolls == curve.rolls[0]).sum()) for curve in curves}  # until a turn
     runs = [curve for curve, count in counts.items() if count > degree]
     bends, along = np.zeros((len(runs), 3)), np.zeros((len(runs), 3))
     for n, curve in enumerate(runs):
