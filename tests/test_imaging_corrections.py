@@ -167,8 +167,13 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
     assert [*tomllib.loads(Path("asked/dataset.toml").read_text())["import"]["confirmed"]] == [
         "entry of plate"
     ]
-    assert run(*words, "behind", "--confirm", "entry=2") == 0
+    assert run(*words, "behind", "--confirm", "plate:entry=2") == 0
     behind = pd.read_csv("behind/reconstruction.csv").iloc[0]
     assert behind["depth_mm"] == approx(14.0, abs=0.6)
     assert run(*words, "none", "--confirm", "entry=3") == 3
-    assert run(*words, "other", "--confirm", "axis") == 2
+    for answer in ("axis", "gel:entry=1"):
+        assert run(*words, "other", "--confirm", answer) == 2
+    Path("plate.nrrd").rename("first.nrrd")
+    Path("second.nrrd").hardlink_to("first.nrrd")
+    several = ["reconstruct", "first.nrrd", "second.nrrd", "-q", "--confirm", "entry=1"]
+    assert run(*several) == 2 and "first:entry=1" in capsys.readouterr().err

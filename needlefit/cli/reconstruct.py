@@ -83,9 +83,11 @@ def reconstruct(
         ),
     ] = None,
     confirm: Annotated[
-        str | None,
+        list[str] | None,
         option(
-            "Number of the right answer, after a refusal that asks for the entry: entry=1.", "entry=NUMBER"
+            "Number of the right answer, after a refusal that asks for the entry: entry=1; of several scans "
+            "with the ID of one. May be repeated.",
+            "[ID:]entry=NUMBER",
         ),
     ] = None,
     title: Annotated[str, option("Title of the dataset.")] = "",
@@ -122,11 +124,7 @@ def reconstruct(
             series=series,
             medium=medium,
         )
-        answer = re.fullmatch(r"entry=([1-9])", confirm or "entry=1")
-        if answer is None:
-            raise typer.BadParameter("give the number of an answer: entry=1", param_hint="--confirm")
-        number = int(answer[1]) if confirm else 0
-        wanted = correct_scans([replace(scan, answered=number) for scan in _scans(scans, files)], moved)
+        wanted = correct_scans(_take_answers(_scans(scans, files), confirm or ()), moved)
         named_by = scan_id(scans[0]) if len(wanted) == 1 or scans[0].suffix == ".csv" else "scans"
         out = out or Path(f"{named_by}-dataset")
         place = out.resolve()
@@ -179,6 +177,19 @@ def reconstruct(
         raise typer.Exit(DataError.exit_code)
 
 
+def _take_answers(scans: "Sequence[Scan]", confirmed: Sequence[str]) -> "list[Scan]":
+    """Return scans with the answers about their entries; BadParameter of an answer to no scan, or to all."""
+    numbers = dict[str, int]()
+    for text in confirmed:
+        answer = re.fullmatch(r"(?:(.+):)?entry=([1-9])", text)
+        id_ = "" if answer is None else answer[1] or (scans[0].id if len(scans) == 1 else "")
+        if answer is None or id_ not in {scan.id for scan in scans}:
+            usual = "entry=1" if len(scans) == 1 else f"{scans[0].id}:entry=1"
+            raise typer.BadParameter(f"give a scan and its answer: {usual}", param_hint="--confirm")
+        numbers[id_] = int(answer[2])
+    return [replace(scan, answered=numbers.get(scan.id, 0)) for scan in scans]
+
+
 def _scans(scans: list[Path], files: ScanFiles) -> "tuple[Scan, ...]":
     """Return the scans that the arguments mean: the rows of a table, or volumes that share what is named."""
     from needlefit.imaging.scans import make_scans, read_scans
@@ -186,6 +197,8 @@ def _scans(scans: list[Path], files: ScanFiles) -> "tuple[Scan, ...]":
 
     if len(scans) == 1 and not path_exists(scans[0]) and str(scans[0]) in list_names("scans"):
         scans = [find_file("scans", str(scans[0]))]
+    if len(scans) == 1 and path_exists(table := scans[0] / "scans.csv"):
+        scans = [table]
     if not any(path.suffix.lower() == ".csv" for path in scans):
         return make_scans(scans, files)
     if len(scans) > 1 or files != NO_FILES:
@@ -240,8 +253,9 @@ def _print_failures(
     if any(failure.points for failure in failed):
         seen = f"needlefit: what was found is drawn in {out}/quality/"
         screen.print_note(f"{seen}; move it in 3D Slicer: {out}/slicer/, then --corrections")
-    if any(failure.asked and not failure.scan.answered for failure in failed):
-        command = invocation.repeat("--confirm", "entry=1")
+    if asked := [failure.scan.id for failure in failed if failure.asked and not failure.scan.answered]:
+        answer = "entry=1" if len(failed) == 1 and run is None else f"{asked[0]}:entry=1"
+        command = invocation.repeat("--confirm", answer)
         screen.print_note(f"needlefit: if answer 1, drawn there, is right: {command}")
     if failed and not run:
         screen.print_note(f"needlefit: no scan was reconstructed; the reasons as a table: {out}/refused.csv")
