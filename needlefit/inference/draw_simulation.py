@@ -102,7 +102,9 @@ def simulate_draws(
     every = np.arange(len(sets))
     met = [(every, np.tile(insertion.boundaries, (len(sets), 1)), insertion.sequence)]
     if insertion.surfaces:
-        # the needles bend alike through the layers of the straight path: next crossings move by 1e-3 mm
+        # Needles bend almost alike through the layers of the straight path. Crossings that were found again
+        # would move tips by at most 0.16 mm in the twin's surfaces, by nothing in sheets across the needle,
+        # and by up to 0.7 and 1.1 mm in sheets inclined by 60 and 75 degrees.
         stations, still = np.linspace(0.0, insertion.depth, PATH_POINTS), np.zeros_like(deep)
         (depths,), (sequence,) = find_path_layers(np.outer(stations, (1.0, 0.0, 0.0))[None], insertion)
         met = [(every, np.tile(depths, (len(sets), 1)), tuple(sequence.tolist()))]
