@@ -129,7 +129,8 @@ class PART:
     SLICE_SD = 0.02
     BALL_DIAMETERS = (0.65, 1.45)  # of a ball of as many voxels over that sought [R]
     BALL_ELONGATION = 2.0  # longest over shortest extent of what may be a ball
-    LOOSE = 0.02  # of a layer in islands and cavities, or of a scan in air, that is not spoken of
+    LOOSE = 0.02  # of a layer's volume in islands and cavities, that is not spoken of
+    AIR = 0.02  # of a scan's voxels, beyond which its air shows
     TOLERANCE = 1e-3  # of a fit's cost and parameters, at which it ends: an end moves by less than 0.01 mm
 
 

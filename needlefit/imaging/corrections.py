@@ -15,14 +15,14 @@ from needlefit.arrays import Floats
 from needlefit.datasets.formats.markups import Markups, read_markups
 from needlefit.errors import DataError, located
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.imaging.constants import MM
-from needlefit.imaging.needle.axis_spline import FEWEST
 from needlefit.imaging.needle.follow import MIN_POINTS
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Corrections, Scan
 
 LIST_NAME = "corrections"  # what a list of control points is called, after the id of its scan
+AXIS_POINTS = 8  # control points on the needle, at even distances
 KINDS = ("axis", "tip", "entry", "ball")
+MIN_MOVE_MM = 0.01  # a control point that lies nearer to where it was found was not moved, mm
 _LABEL = re.compile(rf"({'|'.join(KINDS)})( *\d+)?", re.IGNORECASE)
 _NUMBER = r"(-?\d+\.\d+)"
 _FOUND = re.compile(rf"found at L, P, S = {_NUMBER}, {_NUMBER}, {_NUMBER} mm")
@@ -41,7 +41,7 @@ def make_control_points(
     points: list[tuple[str, Floats]] = []
     if needle is not None:
         s = arc_length(needle)
-        middles = s[-1] * (np.arange(FEWEST) + 0.5) / FEWEST
+        middles = s[-1] * (np.arange(AXIS_POINTS) + 0.5) / AXIS_POINTS
         points += [(f"axis {n}", place) for n, place in enumerate(interpolate_at_arc(needle, middles), 1)]
         points.append(("tip", needle[-1]))
     if entry is not None:
@@ -103,7 +103,7 @@ def _parse_corrections(markups: Markups) -> Corrections:
     names = np.array([kind[1].lower() for kind in kinds if kind])
     stated = [_FOUND.search(text) for text in markups.descriptions]
     before = np.array([match.groups() if match else (np.nan,) * 3 for match in stated], dtype=np.float64)
-    moved = ~(np.linalg.norm(markups.points - before, axis=1) <= MM.GRID_SD)  # what was added, too
+    moved = ~(np.linalg.norm(markups.points - before, axis=1) <= MIN_MOVE_MM)  # what was added, too
     places = {name: markups.points[(names == name) & moved] for name in KINDS}
     if 0 < len(places["axis"]) < MIN_POINTS:
         raise DataError(

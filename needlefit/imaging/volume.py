@@ -310,7 +310,7 @@ def doubt_air(volume: Volume) -> Iterator[str]:
     """
     some = volume.values[::3, ::3, ::3]
     dark = some[(some > float(some.min())) & (some < HU.GAP)]
-    level = float(np.median(dark)) if dark.size > PART.LOOSE * some.size else HU.AIR
+    level = float(np.median(dark)) if dark.size > PART.AIR * some.size else HU.AIR
     if not HU.AIR_RANGE[0] <= level <= HU.AIR_RANGE[1]:
         yield (
             f"the values may be no Hounsfield units: the darkest material, unless it is lung or foam, has "
