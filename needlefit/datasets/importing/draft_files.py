@@ -404,7 +404,8 @@ def _add_unit(
 ) -> None:
     """Add a unit that the header does not state."""
     draft, table, usual = columns.draft, columns.table, MEANINGS[meaning].unit
-    unit, is_free = draft.unit, meaning in COORDINATES and table.system is None
+    unit, is_pixel = draft.unit, record.get("unit") == "px"
+    is_free = (meaning in COORDINATES or is_pixel) and table.system is None
     is_step = any(map(str.isdigit, unit))  # of a pixel: no unit of lengths in mm
     has_unit = record.get("unit", "px") != "px"
     if unit and is_free and not (has_unit and (is_step or not is_point)):

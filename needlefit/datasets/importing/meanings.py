@@ -71,6 +71,7 @@ NUMBERED = (*NAMED_BY_LAYER, "deflection")  # meanings whose columns may be numb
 # What a word beside an axis may mean without being the name of a needle: `needle x`, `depth x`.
 _POINT_WORDS = ("needle", "tip", "depth", "deflection")
 _TRACKER_AXES = {"tx": "x", "ty": "y", "tz": "z"}  # as logs of trackers call them
+_PICTURE_AXES = {"u": "x", "v": "y"}  # of pixels
 _WORD = re.compile(r"[a-z]+|\d+|[^\W\d_a-z]+", re.IGNORECASE)  # Latin and Chinese words part without a blank
 _UMLAUT = re.compile("([aou])e")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
@@ -185,7 +186,8 @@ def read_header(text: str) -> Header:
     if meaning:  # lengths without a unit have that of the coordinates
         known_unit = unit if usual in UNITS_MM or find_meaning("unit", unit) else ""
         return Header(text, meaning, unit=known_unit or ("" if usual in UNITS_MM else usual))
-    words = [_TRACKER_AXES.get(word, word) for word in words]
+    names = _TRACKER_AXES | (_PICTURE_AXES if unit == "px" else {})
+    words = [names.get(word, word) for word in words]
     axes = [word for word in words if word in [*"xyz"]]
     named = {_look_up("column", [word])[0] for word in words}
     if "quaternion" in named or ("bevel_side" in named and {*"xyzw"} & {*words}):

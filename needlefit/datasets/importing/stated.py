@@ -54,11 +54,14 @@ class Stated:
         axis = re.fullmatch("([+-]?)([xyz])", self.text.strip().lower())
         text = self.text if axis is None else ",".join(f"{axis[1]}{int(name == axis[2])}" for name in "xyz")
         is_place = self.key == "entry_point"
-        factor = UNITS_MM.get(self.unit or "mm", np.nan) if is_place else 1.0
+        number, unit = read_quantity(self.unit) or (1.0, self.unit or "mm")  # `0.08 mm` of a pixel
+        factor = number * UNITS_MM.get(unit, np.nan) if is_place else 1.0
         try:
             vector = factor * np.array([float(part) for part in re.split("[,;]", text)])
         except ValueError:
             vector = np.empty(0)
+        if is_place and len(vector) == 2:  # in a picture
+            vector = np.append(vector, 0.0)
         if len(vector) != 3 or not (abs(vector) < MAX_COORDINATE).all() or not (is_place or vector.any()):
             raise self.error("three numbers, such as 0,0,1")
         return vector
