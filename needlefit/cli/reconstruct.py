@@ -184,10 +184,15 @@ def _take_answers(scans: "Sequence[Scan]", confirmed: Sequence[str]) -> "list[Sc
         answer = re.fullmatch(r"(?:(.+):)?entry=([1-9])", text)
         id_ = "" if answer is None else answer[1] or (scans[0].id if len(scans) == 1 else "")
         if answer is None or id_ not in {scan.id for scan in scans}:
-            usual = "entry=1" if len(scans) == 1 else f"{scans[0].id}:entry=1"
+            usual = _name_answer(scans[0].id, len(scans))
             raise typer.BadParameter(f"give a scan and its answer: {usual}", param_hint="--confirm")
         numbers[id_] = int(answer[2])
     return [replace(scan, answered=numbers.get(scan.id, 0)) for scan in scans]
+
+
+def _name_answer(id_: str, count: int) -> str:
+    """Return what states answer 1 of a scan, one of so many."""
+    return "entry=1" if count == 1 else f"{id_}:entry=1"
 
 
 def _scans(scans: list[Path], files: ScanFiles) -> "tuple[Scan, ...]":
@@ -241,6 +246,7 @@ def _print_failures(
     """Print the error of each scan, and what to do about it."""
     from needlefit.imaging.scans import scan_id
 
+    count = len(failed) + (len(run.frames["reconstruction"]) if run else 0)
     for error in dict.fromkeys(
         failure.error for failure in failed
     ):  # one of the whole dataset is one of every scan
@@ -254,11 +260,9 @@ def _print_failures(
         seen = f"needlefit: what was found is drawn in {out}/quality/"
         screen.print_note(f"{seen}; move it in 3D Slicer: {out}/slicer/, then --corrections")
     if asked := [failure.scan.id for failure in failed if failure.asked and not failure.scan.answered]:
-        answer = "entry=1" if len(failed) == 1 and run is None else f"{asked[0]}:entry=1"
-        command = invocation.repeat("--confirm", answer)
+        command = invocation.repeat("--confirm", _name_answer(asked[0], count))
         screen.print_note(f"needlefit: if answer 1, drawn there, is right: {command}")
     if failed and not run:
         screen.print_note(f"needlefit: no scan was reconstructed; the reasons as a table: {out}/refused.csv")
     elif failed and run:
-        count = len(failed) + len(run.frames["reconstruction"])
         screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")

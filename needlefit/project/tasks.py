@@ -199,8 +199,9 @@ def compute_beside(
     with ExitStack() as stack:
         futures: list[Future[bytes]] = []
         event: Event | None = None
-        taken = get_context().Array("b", len(work))
+        taken: Any = None  # by this process, or a copy; without copies everything is done here
         if len(work) > 1 and can_fork():
+            taken = get_context("fork").Array("b", len(work))
             _Surroundings.work, _Surroundings.taken = work, taken
             with suppress(OSError):  # without a copy all is done here
                 pool, event = stack.enter_context(_open_processes(copies))
@@ -208,14 +209,13 @@ def compute_beside(
             _Surroundings.work = ()
 
         def end() -> list[bytes]:
-            here = dict[int, bytes]()
+            here, beside = dict[int, bytes](), dict(enumerate(futures))
             for n in range(len(work))[::-1]:
-                if _take(taken, n):
+                if not futures or _take(taken, n):
                     here[n] = work[n]()
-                    beside = [future for m, future in enumerate(futures) if m not in here]
-                    step(len(here) + sum(future.done() for future in beside), len(work))
-            beside = [future for m, future in enumerate(futures) if m not in here]
-            while waiting := wait(beside, STOP_POLL_S).not_done:
+                    beside.pop(n, None)
+                    step(len(here) + sum(future.done() for future in beside.values()), len(work))
+            while waiting := wait(beside.values(), STOP_POLL_S).not_done:
                 step(len(work) - len(waiting), len(work))
                 if event is not None and stop():
                     event.set()
@@ -229,7 +229,7 @@ def compute_beside(
         try:
             yield end
         finally:
-            for n in range(len(work)):  # after an error nobody wants the rest
+            for n in range(len(futures)):  # after an error nobody wants the rest
                 _take(taken, n)
             if event is not None:
                 event.set()

@@ -330,7 +330,7 @@ def draft_entries(table: Table, keys: Keys, draft: Draft) -> None:
     if columns.name in columns.keys.get("unused", ()):
         draft.unused.append((f"table {columns.where}", "as stated"))
         return
-    columns.take_columns(next(kind.name for kind in KINDS.values() if kind.is_track))
+    columns.take_columns()
     stated = columns.keys.get("holds", "")
     for kind in sorted(list_kinds(), key=lambda kind: kind.name != stated):
         if entries := kind.propose(columns, kind.name == stated):

@@ -85,13 +85,10 @@ class TableDraft:
         self.excluded = list[str]()  # values of a column of flags that mark rows to be left out
         self.used = set[int]()  # places of columns that mean something, or are asked about
 
-    def take_columns(self, tracks: str) -> None:
-        """Take the columns whose meaning is stated or known; ask about those that may mean two things.
-
-        `tracks`: the kind of rows whose depths another table may state, at their times.
-        """
+    def take_columns(self) -> None:
+        """Take the columns whose meaning is stated or known; ask about those that may mean two things."""
         self._take_stated()
-        self.groups = self._group_axes(tracks)
+        self.groups = self._group_axes()
         self._take_known()
         if (block := self.table.find(BLOCK)) is not None:
             self.take("needle", [self.all[block]])
@@ -221,7 +218,7 @@ class TableDraft:
             self.draft.assumed["needle"] = f"{join_columns(chosen)}: together they name the needles"
         return chosen
 
-    def _group_axes(self, tracks: str) -> dict[str, Columns]:
+    def _group_axes(self) -> dict[str, Columns]:
         """Return the columns of the points of each needle by its name, "" of a single one, and axis.
 
         A letter that comes again begins another needle. One column x may be of several: `x, y1, y2`.
@@ -242,8 +239,8 @@ class TableDraft:
             }
             is_timed = any(column.meaning == "time" for column in self.all)
             if is_timed:  # another table has the depths at these times
-                answers["depths at times, in another table"] = {"holds": tracks}
-            if pairs and not (is_timed and self.keys.get("holds") == tracks):
+                answers["depths at times, in another table"] = {"holds": "tracks"}
+            if pairs and not (is_timed and self.keys.get("holds") == "tracks"):
                 self.ask("column", answers, key="x")
         lacking = [axes for axes in groups.values() if "x" not in axes]
         if len(with_x) == 1 and all("y" in axes for axes in lacking):
