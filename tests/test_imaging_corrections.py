@@ -18,6 +18,7 @@ from scanner.write import write_volume
 from test_cli import run
 from test_cli_reconstruct import MARKERS, VOLUME
 
+from needlefit.cli.reconstruct import name_answer
 from needlefit.errors import DataError
 from needlefit.imaging.batch import reconstruct_needles
 from needlefit.imaging.corrections import correct_scans, make_control_points, read_corrections
@@ -177,3 +178,9 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
     Path("second.nrrd").hardlink_to("first.nrrd")
     several = ["reconstruct", "first.nrrd", "second.nrrd", "-q", "--confirm", "entry=1"]
     assert run(*several) == 2 and "first:entry=1" in capsys.readouterr().err
+
+
+def test_an_answer_names_the_scan_also_where_its_needles_are_insertions():
+    scan = Scan("gel", Path("gel.nrrd"), "gel")
+    assert [name_answer(scan, count) for count in (1, 2)] == ["entry=1", "gel:entry=1"]
+    assert name_answer(replace(scan, id="gel-2", divided=2), 2) == "gel:entry=1"

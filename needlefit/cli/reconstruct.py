@@ -184,14 +184,15 @@ def _take_answers(scans: "Sequence[Scan]", confirmed: Sequence[str]) -> "list[Sc
         answer = re.fullmatch(r"(?:(.+):)?entry=([1-9])", text)
         id_ = "" if answer is None else answer[1] or (scans[0].id if len(scans) == 1 else "")
         if answer is None or id_ not in {scan.id for scan in scans}:
-            usual = _name_answer(scans[0].id, len(scans))
+            usual = name_answer(scans[0], len(scans))
             raise typer.BadParameter(f"give a scan and its answer: {usual}", param_hint="--confirm")
         numbers[id_] = int(answer[2])
     return [replace(scan, answered=numbers.get(scan.id, 0)) for scan in scans]
 
 
-def _name_answer(id_: str, count: int) -> str:
-    """Return what states answer 1 of a scan, one of so many."""
+def name_answer(scan: "Scan", count: int) -> str:
+    """Return what states answer 1 of a scan, one of so many; of a needle of a divided scan, that of all."""
+    id_ = scan.id.rpartition("-")[0] if scan.divided else scan.id
     return "entry=1" if count == 1 else f"{id_}:entry=1"
 
 
@@ -259,8 +260,8 @@ def _print_failures(
     if any(failure.points for failure in failed):
         seen = f"needlefit: what was found is drawn in {out}/quality/"
         screen.print_note(f"{seen}; move it in 3D Slicer: {out}/slicer/, then --corrections")
-    if asked := [failure.scan.id for failure in failed if failure.asked and not failure.scan.answered]:
-        command = invocation.repeat("--confirm", _name_answer(asked[0], count))
+    if asked := [failure.scan for failure in failed if failure.asked and not failure.scan.answered]:
+        command = invocation.repeat("--confirm", name_answer(asked[0], count))
         screen.print_note(f"needlefit: if answer 1, drawn there, is right: {command}")
     if failed and not run:
         screen.print_note(f"needlefit: no scan was reconstructed; the reasons as a table: {out}/refused.csv")
