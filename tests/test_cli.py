@@ -11,11 +11,12 @@ import time
 from collections import Counter
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 
-from needlefit.cli import main, screen
+from needlefit.cli import execution, main, screen
 from needlefit.cli.exit_codes import Invocation, report_error
 from needlefit.cli.options import name_changes
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
@@ -154,6 +155,16 @@ def test_a_stream_that_is_lost_changes_no_exit_code(line, code, in_out, in_err):
     done = shell(line)
     assert done.returncode == code
     assert re.search(in_out, done.stdout.decode()) and re.search(in_err, done.stderr.decode())
+
+
+def test_the_time_left_is_known_after_a_quarter_of_the_work_of_this_run(monkeypatch):
+    times = iter([0.0, 10.0, 20.0, 40.0, 3600.0])
+    monkeypatch.setattr(execution, "time", SimpleNamespace(monotonic=lambda: next(times)))
+    estimate_left = execution.begin_estimates()
+    done = (20, 20, 39, 40, 60)  # an earlier run has done 20 of 100
+    words = [estimate_left(count, 100) for count in done]
+    assert words[:3] == ["", "", ""]
+    assert [re.findall(r"\d+ \w+", text) for text in words[3:]] == [["2 min"], ["60 min"]]
 
 
 def test_json_has_no_nan_and_a_table_in_a_pipe_is_never_cut(capsys):

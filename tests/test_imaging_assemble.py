@@ -1,5 +1,6 @@
 """Reconstructions become a dataset: what they share, what each has for itself, what is left out."""
 
+import json
 import re
 from dataclasses import replace
 from functools import cache
@@ -15,8 +16,10 @@ from needlefit.geometry.surfaces import transform_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked, assemble_dataset
 from needlefit.imaging.batch import ReconstructionBatch, reconstruct_all
 from needlefit.imaging.reconstruct import collect_warnings
+from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import read_scans
 from needlefit.project.locate import shipped_folder
+from needlefit.project.stored_values import decode, encode
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 RECIPE = ReconstructionRecord(schema=1)
@@ -42,6 +45,14 @@ def shifted(one, shift):
     away = Frame(np.asarray(shift, dtype=float), np.eye(3))
     surfaces = tuple(transform_surface(surface, away) for surface in one.layers.surfaces)
     return replace(one, layers=replace(one.layers, surfaces=surfaces))
+
+
+@pytest.mark.sweep
+def test_a_stored_reconstruction_is_read_to_the_last_bit():
+    text = json.dumps(encode([small()]))
+    (again,) = decode(json.loads(text), tuple[Reconstruction, ...])
+    assert json.dumps(encode([again])) == text
+    assert again.needle_axis.points.tobytes() == small().needle_axis.points.tobytes()
 
 
 @pytest.mark.sweep

@@ -37,6 +37,8 @@ from needlefit.project.progress import Progress, no_progress
 
 
 LINE_INTERVAL_SECONDS = 60.0
+MIN_PACE_PART = 0.25
+"""Of the work that was to do, from which on its pace gives the time left: first steps take the longest."""
 
 
 @contextmanager
@@ -53,37 +55,45 @@ def show_progress(quiet: bool) -> Iterator[Progress]:
 
 def report_lines(stream: TextIO) -> Progress:
     """Return a reporter that writes at most one line a minute, with the time left at the mean pace."""
-    lock, last, first = threading.Lock(), [time.monotonic()], list[tuple[float, int]]()
+    lock, last, estimate_left = threading.Lock(), [time.monotonic()], begin_estimates()
 
     def report(label: str, done: int, total: int) -> None:
         with lock:
-            now = time.monotonic()
-            if not first:  # what an earlier run has done says nothing of the pace
-                first.append((now, done))
-            if now - last[0] >= LINE_INTERVAL_SECONDS:
+            left = estimate_left(done, total)
+            if (now := time.monotonic()) - last[0] >= LINE_INTERVAL_SECONDS:
                 last[0] = now
-                (begin, before), left = first[0], ""
-                if done > before:
-                    minutes = (now - begin) / (done - before) * (total - done) / 60
-                    left = f", about {minutes:.0f} min left"
-                print(f"needlefit: {label}: {done} of {total}{left}", file=stream, flush=True)
+                print(f"needlefit: {label}: {done} of {total}{left and f', {left}'}", file=stream, flush=True)
 
     return report
+
+
+def begin_estimates() -> Callable[[int, int], str]:
+    """Return what gives the time left, in words, of what is done and the whole; "" while it is not known.
+
+    What an earlier run has done, before the first call, says nothing of the pace.
+    """
+    first = list[tuple[float, int]]()
+
+    def estimate_left(done: int, total: int) -> str:
+        now = time.monotonic()
+        if not first:
+            first.append((now, done))
+        ((begin, before),) = first
+        if done <= before or done - before < MIN_PACE_PART * (total - before):
+            return ""
+        seconds = (now - begin) / (done - before) * (total - done)
+        return f"about {seconds / 60:.0f} min left" if seconds >= 90 else f"about {seconds:.0f} s left"
+
+    return estimate_left
 
 
 @contextmanager
 def _bar() -> Iterator[Progress]:
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
+    estimate_left = begin_estimates()
     # without its thread: a process with threads is not forked (`project.tasks`)
     with Progress(
         TextColumn("{task.description}"),
@@ -92,10 +102,13 @@ def _bar() -> Iterator[Progress]:
         transient=True,
         auto_refresh=False,
     ) as bar:
-        task = bar.add_task("starting", total=None)
-        yield lambda label, done, total: bar.update(
-            task, description=label, completed=done, total=total, refresh=True
-        )
+        task = bar.add_task("starting", total=None, left="")
+
+        def report(label: str, done: int, total: int) -> None:
+            left = estimate_left(done, total)
+            bar.update(task, description=label, completed=done, total=total, left=left, refresh=True)
+
+        yield report
 
 
 # ---- runs

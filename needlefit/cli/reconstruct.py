@@ -97,7 +97,7 @@ def reconstruct(
     Finds needle, markers and tissue in each scan, and registers it to world coordinates with its markers.
     OUT, by default ./SCAN-dataset, takes the dataset, its tables, and for every scan a quality page
     (quality/) and files for 3D Slicer (slicer/). A scan that fails is reported with its fix (exit code 3);
-    the others are written.
+    the others are written. Ctrl-C keeps finished scans and prints the command that continues.
     """
     invocation = context.find_root().obj
     with begin(context) as execution:
@@ -106,12 +106,17 @@ def reconstruct(
         from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
         from needlefit.imaging.corrections import correct_scans, list_control_points
         from needlefit.imaging.scans import scan_id
+        from needlefit.project.checkpoint import open_checkpoint, remove_checkpoint, require_own_checkpoint
         from needlefit.project.folders import remove_result, require_no_inputs_within, require_replaceable
         from needlefit.project.locate import find_file
         from needlefit.project.toml import load
         from needlefit.schemas.names import require_file_name
         from needlefit.schemas.reconstruction import ReconstructionRecord
-        from needlefit.studies.kinds.reconstruction.report import write_reconstruction, write_refused
+        from needlefit.studies.kinds.reconstruction.report import (
+            describe_work,
+            write_reconstruction,
+            write_refused,
+        )
         from needlefit.studies.run import name_source, require_same_sources
 
         moved = corrections or []
@@ -130,16 +135,20 @@ def reconstruct(
         place = out.resolve()
         require_file_name(place.name, str(out))
         refused = place.with_name(f"{place.name}.refused")  # scans without a dataset
+        partial = place.with_name(f"{place.name}.partial")
         for folder in (out, refused):
             require_replaceable(folder)
+        require_own_checkpoint(partial)
         # the first names the folder; what is no path is a name
         sources = [name_source(scans[0]) if scans[0].exists() else str(scans[0])]
         require_same_sources(out, sources)
         require_no_inputs_within(out, [*scans, *moved, *(path for scan in wanted for path in scan.files)])
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
+        work = describe_work(wanted, record, every)
+        checkpoint = open_checkpoint(partial, invocation.resume, work, print_remark)
         with show_progress(invocation.quiet) as report:
             with open_pool(invocation, MAX_DEFAULT_JOBS) as pool:
-                batch = ReconstructionBatch(pool, report, execution.stop, every)
+                batch = ReconstructionBatch(pool, report, execution.stop, every, checkpoint)
                 scanned = reconstruct_all(wanted, record, batch)
             if len(scanned) < len(wanted):
                 raise execution.interrupted()
@@ -164,6 +173,7 @@ def reconstruct(
                 write_refused(failed, refused)
             else:  # those of an earlier run would be taken for this one's
                 remove_result(refused, print_remark)
+            remove_checkpoint(partial, print_remark)
     inspected = inspect(out) if written else None
     warnings = inspected.warnings if inspected else ()
     if written and not invocation.json:

@@ -1,13 +1,14 @@
 """Reconstruct many scans, in one process or several.
 
-A scan that is refused does not stop the others; an error of the program does.
+A scan that is refused does not stop the others; an error of the program does. Finished scans are kept in a
+checkpoint.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -22,8 +23,10 @@ from needlefit.imaging.reconstruct import STAGES, VolumeSearch, examine, picture
 from needlefit.imaging.reconstruction import CurvePicture, Reconstruction, render_views
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume_files import read_volume
+from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
+from needlefit.project.stored_values import decode, encode
 from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -53,6 +56,7 @@ class ReconstructionBatch:
     progress: Progress = no_progress  # called with a scan and its stage, and percent done, of 100 a scan
     stop: Stop = never_stop  # whether to begin no further scan
     every: bool = False  # whether each needle of a scan is reconstructed
+    checkpoint: Checkpoint = NO_CHECKPOINT  # keeps the results of finished scans, which are not made again
 
 
 def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
@@ -86,7 +90,9 @@ def reconstruct_all(
 
     Of fewer scans after a stop.
     """
-    found: dict[int, tuple[Result, ...]] = {}
+    kept = [batch.checkpoint.rows(scan.id) for scan in scans]
+    found = {n: _read_results(rows[0]) for n, rows in enumerate(kept) if rows}
+    todo = [n for n in range(len(scans)) if n not in found]
 
     def report(stage: str, done: int = 0, total: int = 1) -> None:
         share = (len(found) + done / total) * STAGES["quality page"]
@@ -94,12 +100,19 @@ def reconstruct_all(
 
     report("reconstructing")
     work = partial(reconstruct_needles, recipe=recipe, every=batch.every)
-    if isinstance(batch.pool, LocalPool) and (batch.pool.size == 1 or len(scans) == 1):
+    if isinstance(batch.pool, LocalPool) and (batch.pool.size == 1 or len(todo) == 1):
         work = partial(work, progress=report)  # not from other processes
-    for n, results in batch.pool.run(work, scans, batch.stop):
-        found[n] = results
+    for place, results in batch.pool.run(work, [scans[n] for n in todo], batch.stop):
+        n, row = todo[place], {"results": encode(results)}
+        batch.checkpoint.keep_row(scans[n].id, row)
+        found[n] = _read_results(row)  # as after --resume
         report(scans[n].id)
     return tuple(found[n] for n in sorted(found))
+
+
+def _read_results(row: Mapping[str, Any]) -> tuple[Result, ...]:
+    results: tuple[Result, ...] = decode(row["results"], tuple[Result, ...])
+    return results
 
 
 @one_thread

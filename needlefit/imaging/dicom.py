@@ -23,8 +23,9 @@ from pydicom.uid import UID
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError, located
 from needlefit.imaging.volume import SPACINGS_MM, VoxelGrid, check_grid, orthogonalize
+from needlefit.imaging.volume_files import list_series_files
 from needlefit.project.folders import MAX_LISTED_FILES
-from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
+from needlefit.project.input_files import is_file, open_regular
 from needlefit.project.reader_process import Arrays, allow_memory
 
 # A slice may stand this far from its place on an even stack, mm: positions are written to 0.1 mm or better.
@@ -166,13 +167,6 @@ def _damaged(file: Path, packed: str = "") -> DataError:
         fix="copy the file again, or export the series again, uncompressed",
         where=file,
     )
-
-
-def list_series_files(path: Path) -> list[Path]:
-    """Return the files that may be of a series, sorted: all in and below a folder, or those beside a file."""
-    if is_dir(path):
-        return list_files(path)
-    return sorted(file for file in path.parent.iterdir() if is_file(file) and file.name[0] != ".")
 
 
 def find_series(path: Path, series: str | None) -> list[DicomSlice]:

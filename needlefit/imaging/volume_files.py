@@ -18,7 +18,14 @@ from needlefit.imaging.volume import (
     max_voxels,
 )
 from needlefit.project.folders import MAX_LISTED_FILES
-from needlefit.project.input_files import MAX_FOLDER_FILES, list_files, open_regular, path_exists
+from needlefit.project.input_files import (
+    MAX_FOLDER_FILES,
+    is_dir,
+    is_file,
+    list_files,
+    open_regular,
+    path_exists,
+)
 from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process
 
 CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
@@ -120,6 +127,15 @@ def read_labels_file(path: Path) -> tuple[Volume, dict[str, str]]:
     """Read an image file of labels; see `read_volume`. Also the texts of its header about segments."""
     with explain_missing_packages(*CT_PACKAGES):
         return _read_image(path, labels=True)
+
+
+def list_series_files(path: Path) -> list[Path]:
+    """Return the files that may be read for a path, sorted: in and below a folder, or beside a DICOM file."""
+    if is_dir(path):
+        return list_files(path)
+    if path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)) or not begins_as_dicom(path):
+        return [path]
+    return sorted(file for file in path.parent.iterdir() if is_file(file) and file.name[0] != ".")
 
 
 def is_image_file(place: Path) -> bool:

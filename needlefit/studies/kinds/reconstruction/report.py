@@ -18,11 +18,13 @@ from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
 from needlefit.imaging.corrections import LIST_NAME, list_control_points
 from needlefit.imaging.reconstruct import STAGES
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.scans import write_scan_table
+from needlefit.imaging.scans import Scan, write_scan_table
+from needlefit.imaging.volume_files import list_series_files
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
-from needlefit.project.folders import replace_folder
+from needlefit.project.folders import replace_folder, sha256
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
+from needlefit.project.stored_values import encode
 from needlefit.reporting.figures import Drawing, Panel
 from needlefit.reporting.labels import PAPER_COLOUR, rgb
 from needlefit.reporting.scan_pages import write_quality, write_refusal_page
@@ -76,6 +78,18 @@ def run(name: str, record: ReconstructionBatchRecord, settings: Settings) -> Run
     raise ConfigError(
         "is no study that can be run", where=name, fix="name its scans after `needlefit reconstruct`"
     )
+
+
+def describe_work(scans: Sequence[Scan], recipe: ReconstructionRecord, every: bool) -> dict[str, Any]:
+    """Return all that decides the result of a batch, as JSON values, with a digest of each file."""
+    files = {path for scan in scans for part in scan.files for path in list_series_files(part)}
+    return {
+        "scans": [encode(scan) for scan in scans],
+        "files": {str(path): sha256(path) for path in sorted(files)},
+        "recipe": recipe.model_dump(mode="json"),
+        "every": every,
+        "versions": package_versions(VERSIONED_PACKAGES),
+    }
 
 
 def tabulate_batch(
