@@ -6,7 +6,9 @@ from reporting_results import study, with_frames, with_predictions
 
 from needlefit.reporting import fonts
 from needlefit.reporting.figures import style
+from needlefit.studies import fit_figures
 from needlefit.studies.fit_figures import draw_predictive_check
+from needlefit.studies.run import FitFrames
 
 
 def test_letters_that_no_font_has_are_written_as_their_numbers(monkeypatch):
@@ -41,3 +43,13 @@ def test_the_band_of_pit_values_is_that_of_independent_trials():
     assert ends[2]["high"].iloc[[0, -1]].tolist() == [0.75, 1]
     counts = 7 * ends[7]["high"]
     assert counts.tolist() == pytest.approx(counts.round().tolist())
+
+
+def test_of_many_insertions_panels_are_drawn_at_equal_steps_of_the_rank_of_their_errors(monkeypatch):
+    run = study(5)
+    errors = FitFrames.of(run).select_errors(method="fitted").sort_values("te_mm")
+    monkeypatch.setattr(fit_figures, "MAX_PANELS", 3)
+    drawing = fit_figures.draw_overlays(run)
+    ranked = list(zip(errors["fold"], errors["insertion"], strict=True))
+    assert len(ranked) == 9 and set(drawing.options["heads"]) == {ranked[0], ranked[4], ranked[8]}
+    assert set(drawing.frame["insertion"]) == {ranked[n][1] for n in (0, 4, 8)}

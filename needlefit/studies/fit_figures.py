@@ -28,7 +28,7 @@ from needlefit.studies.run import FitFrames, Run
 # ---- insertions
 
 _POINT_COLUMNS = [*INSERTION_KEYS, "curve", "x_mm", *HEIGHT_COLUMNS]
-MAX_LARGE_PANELS = 24  #: insertions at most whose panels are large
+MAX_PANELS = 48  #: insertions at most that have a panel each: a page has room for 12 rows of 4
 
 _OVERLAY_POINT_STEP = 5  # of the points compared, one in so many is drawn
 
@@ -132,15 +132,23 @@ def _list_tip_errors(run: Run) -> Iterator[Row]:
 
 
 def draw_overlays(run: Run, *, from_above: bool = False) -> Drawing:
-    """Return all insertions, seen from the side or from above."""
+    """Return the insertions, seen from the side or from above.
+
+    Of more than `MAX_PANELS`, so many at equal steps of the rank of their tip errors, least and largest among
+    them.
+    """
     frames = FitFrames.of(run)
     ours = frames.method
     errors, drawn = frames.select_errors(method=ours), frames.select_curves()["insertion"]
-    titles = _title_panels(errors[errors["insertion"].isin(drawn)])
+    errors = errors[errors["insertion"].isin(drawn)]
+    if len(errors) > MAX_PANELS:
+        ranked = errors.sort_values(scores.TE, kind="stable").index
+        steps = np.linspace(0, len(ranked) - 1, MAX_PANELS).round().astype(int)
+        errors = errors.loc[ranked[steps].sort_values()]
     names = {method: labels.method_name(method) for method in (ours, "hand_tuned")}
-    step = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
-    curves = collect_curves(run, names, step, from_above=from_above)
-    options: dict[str, object] = {"heads": titles, "names": names}
+    curves = collect_curves(run, names, _OVERLAY_POINT_STEP, from_above=from_above)
+    curves = curves.merge(errors[INSERTION_KEYS], on=INSERTION_KEYS)
+    options: dict[str, object] = {"heads": _title_panels(errors), "names": names}
     options |= {"height": "deflection out\nof the plane (mm)"} if from_above else {}
     return Drawing("forms.insertions", curves, options)
 

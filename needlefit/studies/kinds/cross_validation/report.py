@@ -59,6 +59,8 @@ def collect_values(run: Run) -> dict[str, Any]:
         "run": run,
         "frames": frames,
         "role": role,
+        "insertions": 0 if group is None else group.insertions,
+        "max_panels": fit_figures.MAX_PANELS,
         "compared_in": {1: "one plane", 2: "space"}[scores.count_directions(run)],
         "media": {
             part: list(dict.fromkeys(select_rows(errors, role=part)["medium"]))
@@ -112,7 +114,7 @@ def judge_errors(run: Run) -> FirstPage:
     if group is None or judged is None:
         return FirstPage(Verdict(TEXT.sentence("nothing_scored", values), "fail"), checks=checks)
     undetermined, score = fit_tables.list_undetermined(run), judged.score
-    words = {**values, "judged": judged, "insertions": group.insertions, "undetermined": undetermined}
+    words = {**values, "judged": judged, "undetermined": undetermined}
     words |= {"gains": fit_tables.list_gains_of_direction(run), "direction_sd": DIRECTION_SD_DEG}
     numbers: dict[str, float | str | None] = {
         "outcome": judged.outcome,
