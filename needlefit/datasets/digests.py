@@ -4,7 +4,7 @@ They are of the values as they were read. What is computed from these differs in
 machines, on which a result is to be known again.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -28,14 +28,14 @@ def digest_insertion(
     points: Points,
     sections: SplineSections | None,
     record: DatasetRecord,
-    digest_file: Callable[[str], str],
+    surfaces: Sequence[str],
 ) -> str:
-    """Return the digest of an insertion; `digest_file` returns that of a file, by its name."""
+    """Return the digest of an insertion, of whose surfaces these are the files' digests."""
     medium, patient = record.media[row.medium], row.patient
     values = {
         "dataset": select_deciding(record, _READ),
         "medium": select_deciding(medium, ("file",)),
-        "surfaces": [digest_file(surface.file_of(row.id)) for surface in medium.surfaces],
+        "surfaces": surfaces,
         "needle": select_deciding(record.all_needles[row.needle]),
         "row": _list_stated(replace(row, line=0, patient=None)),
         "scan": patient and [_round(patient.origin), _round(patient.rotation)],

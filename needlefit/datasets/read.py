@@ -275,8 +275,10 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
             continue
         try:
             reduced = reduce_insertion(row, points, medium, needles[row.needle], patient, sections)
-            digest = digest_insertion(row, points, sections, record, lambda name: hashed(root / name))
-            yield ListedInsertion(replace(reduced, digest=digest, where=where), row, where, points, is_curve)
+            surfaces = [hashed(root / s.file_of(row.id)) for s in record.media[row.medium].surfaces]
+            make_digest = partial(digest_insertion, row, points, sections, record, surfaces)
+            reduced = replace(reduced, make_digest=make_digest, where=where)
+            yield ListedInsertion(reduced, row, where, points, is_curve)
         except DataError as error:
             all_faults.append(error.replace(where=error.where or where, fix=error.fix or BEVEL_FIX))
 

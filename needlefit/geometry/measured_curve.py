@@ -122,7 +122,7 @@ class _SmoothCurve:
         self.spline: PenalizedSpline = fit_penalized_spline(self.u, points, points.shape[1] - 1, sd)
         # beyond both ends, where noise puts feet
         grid = np.linspace(-0.1, 1.1, max(MIN_SAMPLES, SAMPLES_PER_POINT * len(points)))
-        speed = np.linalg.norm(self.spline.curve.derivative()(grid), axis=1)
+        speed = np.linalg.norm(self.spline.slope(grid), axis=1)
         lengths = scipy.interpolate.CubicSpline(grid, speed).antiderivative()(grid)
         self.grid, self.lengths = grid, lengths - np.interp(0.0, grid, lengths)
 
@@ -139,7 +139,7 @@ class _SmoothCurve:
         return self._tangents(np.interp(s, self.lengths, self.grid))
 
     def _tangents(self, u: Floats) -> Floats:
-        slopes = self.spline.curve.derivative()(u)
+        slopes = self.spline.slope(u)
         return slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
 
     def differentiate_length(self, start: float, end: float) -> Floats:

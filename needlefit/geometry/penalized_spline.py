@@ -6,7 +6,7 @@ far less often misled than cross-validation. Parabolas are never penalised: an a
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 import scipy
@@ -35,10 +35,15 @@ class PenalizedSpline:
     operator: Floats  # (F, N); from values to coefficients
     noise_sd: float  # standard deviation of the noise that the values show
 
+    @cached_property
+    def slope(self) -> "scipy.interpolate.BSpline":
+        """The derivative of the curve."""
+        return self.curve.derivative()
+
     def differentiate(self, u: Floats) -> tuple[Floats, Floats]:
         """Return the derivative (K, d) at places (K,), and the matrix (K, N) that gives it of the values."""
         bases = scipy.interpolate.BSpline(self.curve.t, self.operator, DEGREE).derivative()
-        return self.curve.derivative()(u), bases(u)
+        return self.slope(u), bases(u)
 
 
 def fit_penalized_spline(
@@ -90,24 +95,25 @@ def _maximize_likelihood(
     along these. `total`: sum of squares of all that no parabola takes away; `stated`: what a stated noise
     adds to it. `count`: how many values show noise beside the parabola.
     """
-    squares = np.sum(parts**2, axis=1)
+    squares, largest, sizes = np.sum(parts**2, axis=1), sizes[0], sizes**2
     outside = max(total - float(squares.sum()), 0.0)
     outside += count * max(MIN_RELATIVE_NOISE**2 * total, np.finfo(np.float64).tiny)
     weight = count + (STATED_WEIGHT if stated else 0.0)
 
-    def misfit(log_ratio: Floats) -> Floats:
-        return outside + (squares / (1 + np.exp(log_ratio) * sizes**2)).sum(axis=-1)
+    def misfit(ratios: Floats) -> Floats:
+        return outside + (squares / (1 + ratios)).sum(axis=-1)
 
     def objective(log_ratio: Floats) -> Floats:
-        grown = noisy_axes * np.log1p(np.exp(log_ratio) * sizes**2).sum(axis=-1)
-        return grown + weight * np.log(misfit(log_ratio) + stated)
+        ratios = np.exp(log_ratio) * sizes
+        grown = noisy_axes * np.log1p(ratios).sum(axis=-1)
+        return grown + weight * np.log(misfit(ratios) + stated)
 
     # relative to the largest direction, so that the range fits values of any count and unit
-    grid = np.linspace(MIN_LOG_RATIO, MAX_LOG_RATIO, LOG_RATIOS)[:, None] - 2 * np.log(sizes[0])
+    grid = np.linspace(MIN_LOG_RATIO, MAX_LOG_RATIO, LOG_RATIOS)[:, None] - 2 * np.log(largest)
     best, step = float(grid[np.argmin(objective(grid)), 0]), float(grid[1, 0] - grid[0, 0])
     optimum = scipy.optimize.minimize_scalar(
         lambda logarithm: float(objective(np.array(logarithm))),
         bounds=(best - step, best + step),
         method="bounded",
     )
-    return float(np.exp(optimum.x)), float(misfit(np.array(optimum.x)))
+    return float(np.exp(optimum.x)), float(misfit(np.exp(optimum.x) * sizes))

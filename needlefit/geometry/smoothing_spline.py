@@ -6,6 +6,7 @@ weights are kept, a simulated shape can be smoothed in the same way before the t
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -77,10 +78,18 @@ class SplineSections:
 class SplineFit:
     """A weighted least-squares fit of a spline, as matrices."""
 
-    slope: Floats  # (S, F); from coefficients to the spline's derivative by q at the S places fitted to
+    q: Floats  # (S,); the places fitted to
+    knots: Floats  # (C + 4,)
+    design: Floats  # (S, F); from coefficients to the spline's values at these places
     operator: Floats  # (F, S); from values at these places to coefficients: G
     spread: Floats  # (F, F); covariance of the coefficients for values of unit variance at weight 1
     reached: NDArray[np.bool_]  # (C,); which of the C coefficients of the knots are these F
+
+    @cached_property
+    def slope(self) -> Floats:
+        """From coefficients to the spline's derivative by q at the places fitted to, (S, F)."""
+        bases = scipy.interpolate.BSpline(self.knots, np.eye(len(self.reached)), DEGREE)
+        return np.asarray(bases.derivative()(self.q), dtype=np.float64)[:, self.reached]
 
 
 def find_empty_pieces(q: Floats, weights: Floats, knots: Floats) -> Floats:
@@ -101,12 +110,10 @@ def fit_matrices(q: Floats, weights: Floats, knots: Floats) -> SplineFit:
     """
     design = design_matrix(q, knots)
     reached = np.any(design[weights > 0] > 0, axis=0)
-    bases = scipy.interpolate.BSpline(knots, np.eye(len(reached)), DEGREE)
-    slope: Floats = np.asarray(bases.derivative()(q), dtype=np.float64)[:, reached]
     design = design[:, reached]
     weighted = design * weights[:, None]
     spread = np.linalg.inv(design.T @ weighted)
-    return SplineFit(slope, np.asarray(spread @ weighted.T), np.asarray(spread), reached)
+    return SplineFit(q, knots, design, np.asarray(spread @ weighted.T), np.asarray(spread), reached)
 
 
 def compute_tip(sections: SplineSections) -> tuple[Floats, float]:
@@ -115,7 +122,7 @@ def compute_tip(sections: SplineSections) -> tuple[Floats, float]:
     numpy.linalg.LinAlgError if the sections do not determine it.
     """
     fit = fit_matrices(sections.q, sections.weights, sections.knots)
-    (design,) = design_matrix(sections.q[-1:], sections.knots)[:, fit.reached]
+    design = fit.design[-1]
     sds = sections.sigma * np.sqrt(design @ fit.spread @ design)
     shared = np.hypot(sections.shared_sd, np.linalg.norm(sections.shared_along))
     return design @ (fit.operator @ sections.points), float(np.hypot(sds, shared))

@@ -90,10 +90,12 @@ def parse_numbers(table: CsvTable, column: str, faults: list[Fault], default: fl
     if column not in table.cells and default is not None:
         return np.full(len(table.lines), default)
     text = table.cells[column]
-    values: Floats = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
+    values: Floats = np.asarray(pd.to_numeric(text.to_numpy(), errors="coerce"), dtype=np.float64)
     # Infinity parses as a number; this comparison rejects it too.
     values = np.where(np.abs(values) <= MAX_COORDINATE, values, np.nan)
     missing = np.flatnonzero(np.isnan(values))
+    if not len(missing):
+        return values
     empty = missing[text.to_numpy()[missing] == ""]
     bad = missing if default is None else np.setdiff1d(missing, empty)
     for row in bad[:MAX_LISTED_CELLS]:

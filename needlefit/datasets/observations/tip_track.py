@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -159,8 +160,8 @@ def parse_tracks(
         sd = None if np.isnan(run[POINT_SD_COLUMN][0]) else float(run[POINT_SD_COLUMN][0])
         if sd is None:
             del run[POINT_SD_COLUMN]  # digests are those of tables without the column
-        digest = digest_track(medium, run, record)
-        yield replace(track, setup=setup, hole=hole, point_sd=sd, digest=digest)
+        digest = partial(digest_track, medium, run, record)
+        yield replace(track, setup=setup, hole=hole, point_sd=sd, make_digest=digest)
 
 
 def _find_zero(depths: Floats, record: DatasetRecord) -> float:
