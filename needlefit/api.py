@@ -43,26 +43,24 @@ from needlefit.project.cluster import connect_cluster as connect_cluster
 from needlefit.project.input_files import is_dir, to_json_values
 from needlefit.project.locate import find_file, find_run, find_studies
 from needlefit.project.processes import count_cores
-from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import LocalPool as LocalPool
+from needlefit.project.tasks import Progress, Stop, never_stop, no_progress
 from needlefit.project.toml import IN_MEMORY, add_file_context, check, dumps, read_given, spell_name
-from needlefit.schemas.analyses import SyntheticDataRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MaterialRecord, MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.schemas.study import FitRecord, SelectionRecord
+from needlefit.schemas.study import FitRecord, SelectionRecord, SyntheticDataRecord
 from needlefit.studies import simulated_data
 from needlefit.studies.job import Job, Settings, StatedStudy, run_study
 from needlefit.studies.judge import REFERENCES as REFERENCES
 from needlefit.studies.judge import compare_with_references as compare_with_references
 from needlefit.studies.judge import judge_fits as judge_fits
 from needlefit.studies.kind import find_kind
-from needlefit.studies.load import load_study
+from needlefit.studies.load import check_study, load_study, load_study_file, load_target, reopen_fit
 from needlefit.studies.run import Run, restore_run
 from needlefit.studies.score import make_predictors, make_scorer
-from needlefit.studies.study_files import check_study, load_study_file, load_target, reopen_fit
 
 Name = str | Path
 Table = Mapping[str, Any]

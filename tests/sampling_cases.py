@@ -7,11 +7,12 @@ import numpy as np
 from inference_cases import NothingHeld
 from numpy.random import default_rng
 
-from needlefit.inference.sampling.importance import Effort, sample_by_importance
-from needlefit.inference.sampling.log_density import (
+from needlefit.inference.sampling.importance import (
+    Effort,
     Evaluator,
     approximate_by_information,
     difference_information,
+    sample_by_importance,
 )
 from needlefit.inference.sampling.sample import sample
 from needlefit.schemas.recipe import SampleRecord

@@ -15,7 +15,7 @@ from needlefit.mechanics import scene
 from needlefit.project.folders import replace_folder, require_output_files, write_manifest
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.reporting.table_files import write_json
-from needlefit.studies import study_files as study_files  # bound before a test takes away what it imports
+from needlefit.studies import load as load  # bound before a test takes away what it imports
 from needlefit.studies.run import store_run
 
 SCANS = str(shipped_folder() / "data" / "sample_scan" / "scans.csv")

@@ -14,7 +14,7 @@ from world import PROJECT
 from needlefit.mechanics.control import Bevel, Controls, Guide
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
-from needlefit.studies.study_files import load_target
+from needlefit.studies.load import load_target
 
 STUDY = (PROJECT / "studies/tracks.toml").read_text().replace('"tips"', '"mine"').replace('"tiny"', '"few"')
 RECIPE = (PROJECT / "configs/recipes/tiny.toml").read_text()

@@ -21,8 +21,7 @@ from needlefit.schemas import medium, recipe, study
 from needlefit.schemas.deciding import UNDECIDING, select_deciding
 from needlefit.studies.identity import JUDGING, RESOLVED, describe_configuration, identify
 from needlefit.studies.job import Settings
-from needlefit.studies.load import load_study
-from needlefit.studies.study_files import load_study_file
+from needlefit.studies.load import load_study, load_study_file
 
 IDS = [f"phantom2-{n:02}" for n in (1, 2, 4, 7, 8, 9)]
 STUDY = f"""

@@ -7,7 +7,6 @@ from numpy.random import default_rng
 from pytest import approx
 
 from needlefit.errors import FitError, ModelError
-from needlefit.inference.distance_search import run_gauss_newton
 from needlefit.inference.fit import (
     Callbacks,
     EvaluationRecorder,
@@ -18,9 +17,9 @@ from needlefit.inference.fit import (
     read_fit,
 )
 from needlefit.inference.metric_objective import WeightedDistances
-from needlefit.inference.optimize import minimize, starting_points
+from needlefit.inference.optimize import minimize, run_gauss_newton, starting_points
 from needlefit.project.checkpoint import open_checkpoint
-from needlefit.project.progress import never_stop
+from needlefit.project.tasks import never_stop
 
 
 def bowl(theta):

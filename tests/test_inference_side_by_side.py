@@ -9,8 +9,7 @@ from refusals import refusal
 
 from needlefit.errors import ModelError
 from needlefit.inference.side_by_side import MAX_SEARCHES, evaluate, run_side_by_side
-from needlefit.project.progress import never_stop
-from needlefit.project.tasks import TaskStop
+from needlefit.project.tasks import TaskStop, never_stop
 
 LIMIT_S = 20.0
 

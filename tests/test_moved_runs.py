@@ -15,7 +15,7 @@ from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import DataError
 from needlefit.project.folders import write_manifest
 from needlefit.studies import run as runs
-from needlefit.studies.study_files import load_target, read_data
+from needlefit.studies.load import load_target, read_data
 from needlefit.viewer.opening import open_target
 
 OPTIONS = "--quiet --jobs 1"

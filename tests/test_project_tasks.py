@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from distributed.client import Future
+from distributed.utils import LoopRunner
 from made_again import read_files
 from refusals import refusal
 from test_cli import run
@@ -213,6 +215,17 @@ def test_the_command_line_has_one_thread_whatever_the_environment():
 
 
 LOOPBACK = "tcp://127.0.0.1"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def end_threads_of_dask():
+    """They outlive its clients, and a process that has further threads is not copied."""
+    yield
+    for _, runner in [*LoopRunner._all_loops.values()]:
+        runner.stop()
+    if executor := Future._cb_executor:
+        executor.shutdown()
+        Future._cb_executor = None
 
 
 @pytest.fixture(scope="module")

@@ -2,9 +2,11 @@
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 
 import needles
 import numpy as np
+import pandas as pd
 import pytest
 import slicerio
 from numpy.testing import assert_allclose
@@ -42,7 +44,16 @@ def fitted(tmp_path_factory):
 def place(fitted, draws=None, *args):
     job, fold, fit = fitted
     simulated = draws and simulate_fitted_draws(job.problem(fold), draws)
-    return {one.insertion: one for one in place_needles(job.problem(fold), fold, fit, simulated, *args)}
+    rows = pd.DataFrame(place_needles(job.problem(fold), fold, fit, simulated, *args))
+    return {
+        name: SimpleNamespace(
+            **part.iloc[0],
+            curves={
+                curve: some[["x_mm", "y_mm", "z_mm"]].to_numpy() for curve, some in part.groupby("curve")
+            },
+        )
+        for name, part in rows.groupby("insertion")
+    }
 
 
 def test_every_needle_is_in_the_world_of_its_dataset(fitted):
@@ -55,7 +66,7 @@ def test_every_needle_is_in_the_world_of_its_dataset(fitted):
         assert_allclose(one.curves["measured"], insertion.centerline, atol=1e-9)
         assert arc_length(one.curves["fitted"])[-1] == pytest.approx(needles.DEPTHS[n], rel=1e-3)
         assert_allclose(one.curves["fitted"][-1], insertion.centerline[-1], atol=0.02)  # the truth is known
-        assert one.diameter == 1.27
+        assert one.diameter_mm == 1.27
 
 
 def test_the_band_of_a_fitted_needle_is_that_of_the_needles_of_its_draws(fitted):

@@ -9,8 +9,8 @@ from pytest import approx
 from reporting_results import study, with_frames
 
 from needlefit.datasets import paper
-from needlefit.reporting.latex import escape_latex, format_cell
 from needlefit.reporting.number_format import format_number, format_to_error
+from needlefit.reporting.table import escape_latex, format_cell
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.fit_tables import (
     describe_largest_factor,

@@ -21,8 +21,7 @@ from needlefit.datasets.folds import is_copy
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import check, read
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observation import whiten_residuals
-from needlefit.inference.likelihood.observations import make_observation, read_points
+from needlefit.inference.likelihood.observations import make_observation, read_points, whiten_residuals
 from needlefit.studies.simulated_data import simulate_measurement
 
 ONE_LAYER = medium(1)

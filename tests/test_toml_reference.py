@@ -6,8 +6,7 @@ import pytest
 
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml import load
-from needlefit.project.toml_reference import describe_files, list_files
-from needlefit.studies.explanations import find_topics
+from needlefit.studies.explanations import describe_files, find_topics, list_files
 from needlefit.studies.first_page import lay_out_checks
 from needlefit.studies.kind import list_records
 

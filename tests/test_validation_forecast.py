@@ -20,7 +20,7 @@ from needlefit.inference.identifiability.precision import find_model_error
 from needlefit.inference.predict import Draws
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.locate import find_file
-from needlefit.project.progress import no_note
+from needlefit.project.tasks import no_note
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord

@@ -47,9 +47,8 @@ from needlefit.imaging.batch import ReconstructionFailure, reconstruct_needles
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Scan
 from needlefit.project.processes import one_thread
-from needlefit.project.progress import Progress, no_progress
 from needlefit.project.random_streams import random_stream
-from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool
+from needlefit.project.tasks import THIS_PROCESS, LocalPool, Progress, TaskPool, no_progress
 from needlefit.project.toml import dumps
 from scanner.render import Needle3D, Scanner, ScannerTable, Scene3D, SceneMarkers, densify, render_scan
 from scanner.write import write_volume

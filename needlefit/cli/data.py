@@ -219,7 +219,7 @@ def _judge(warnings: Sequence[ResultWarning]) -> str:
 
 def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: str, path: Path) -> None:
     from needlefit.project.locate import file_label
-    from needlefit.studies.study_files import check_study_file
+    from needlefit.studies.load import check_study_file
 
     faults = check_study_file(kind, path)
     if invocation.json:

@@ -56,7 +56,7 @@ def tune(
         from needlefit.inference.parameter_changes import change_fit
         from needlefit.project.toml import add_file_context
         from needlefit.studies.job import StatedStudy
-        from needlefit.studies.study_files import load_target
+        from needlefit.studies.load import load_target
 
         fit = load_target(target)
         name, record, inputs, file, _ = fit
@@ -111,8 +111,8 @@ def validate(
         from needlefit.project.toml import add_file_context, load
         from needlefit.schemas.study import FitRecord
         from needlefit.studies.job import StatedStudy
+        from needlefit.studies.load import load_study_file
         from needlefit.studies.run import name_source
-        from needlefit.studies.study_files import load_study_file
 
         combined = [study] if study == EVERY_STUDY else []
         files = dict(find_studies(study))
@@ -172,8 +172,8 @@ def predict(
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
         from needlefit.studies.kinds.prediction.run import POSTERIOR_FILE, describe_like_deepest, make_scene
+        from needlefit.studies.load import load_target
         from needlefit.studies.run import RESULTS_FILE, name_source, restore_run
-        from needlefit.studies.study_files import load_target
 
         fit = load_target(target)
         target_name, fitted, inputs, file, run = fit

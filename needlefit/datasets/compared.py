@@ -11,7 +11,7 @@ from needlefit.datasets.noise import MEAN_NORM_PER_SD
 from needlefit.errors import ConfigError
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.schemas.compared import Compared
+from needlefit.schemas.base import Compared
 
 SIGNIFICANT_SD = 3.0  # standard deviations beyond which a bend is not a measurement error
 #: by which the best hypothesis must be more probable than the next: a factor of 20 is strong evidence (R. E.

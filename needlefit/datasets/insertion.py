@@ -19,7 +19,7 @@ from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.schemas.compared import DIRECTIONS, Compared
+from needlefit.schemas.base import DIRECTIONS, Compared
 from needlefit.schemas.dataset import SESSION_SLOPE_SD_DEG, MeasurementRecord
 from needlefit.schemas.origin import Origin
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame, make_entry_frame, normalize
-from needlefit.schemas.compared import DIRECTIONS, Compared
+from needlefit.schemas.base import DIRECTIONS, Compared
 
 
 def arc_length(points: ArrayLike) -> Floats:

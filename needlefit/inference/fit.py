@@ -16,7 +16,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.project.checkpoint import Checkpoint
-from needlefit.project.progress import Step, never_stop, no_step
+from needlefit.project.tasks import Step, never_stop, no_step
 from needlefit.schemas.recipe import ObjectiveName
 
 INTERRUPTED = "interrupted"

@@ -15,9 +15,10 @@ from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel, predict, respond_to_moves
-from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, Discrepancy
 from needlefit.inference.likelihood.observations import (
+    PLAIN_LIKELIHOOD,
     ComparedPoints,
+    Discrepancy,
     ScoredObservation,
     SimulatedCurve,
     align,

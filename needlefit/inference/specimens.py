@@ -34,11 +34,14 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import Source
 from needlefit.inference.prior import Prior
 from needlefit.inference.problem import Problem
-from needlefit.inference.sampling.importance import Effort, WeightedDraws, resample, sample_by_importance
-from needlefit.inference.sampling.log_density import (
+from needlefit.inference.sampling.importance import (
+    Effort,
     LogDensityFunction,
+    WeightedDraws,
     approximate_by_information,
     difference_information,
+    resample,
+    sample_by_importance,
 )
 from needlefit.inference.sampling.posterior import Posterior, thin_chains
 from needlefit.schemas.recipe import BetweenSpecimensRecord

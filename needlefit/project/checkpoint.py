@@ -29,7 +29,7 @@ from needlefit.project.folders import (
     take_lock,
 )
 from needlefit.project.input_files import digest_values, parse_json, read_bytes
-from needlefit.project.progress import Note, no_note
+from needlefit.project.tasks import Note, no_note
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock

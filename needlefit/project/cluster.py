@@ -20,8 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from needlefit.errors import ConfigError, UnfinishedWorkError
-from needlefit.project.progress import Note, Stop, never_stop, no_note
-from needlefit.project.tasks import as_finished, read_work, stop_tasks
+from needlefit.project.tasks import Note, Stop, as_finished, never_stop, no_note, read_work, stop_tasks
 
 if TYPE_CHECKING:
     from distributed import Client, Future

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.input_files import path_exists, read_json
 from needlefit.project.locate import join_names
-from needlefit.project.progress import Note
+from needlefit.project.tasks import Note
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock

@@ -28,7 +28,31 @@ from typing import Any, Protocol, TypeVar
 
 from needlefit.errors import UnfinishedWorkError
 from needlefit.project.processes import count_cores, end_with, limit_to_one_thread
-from needlefit.project.progress import Step, Stop, never_stop, no_step
+
+Progress = Callable[[str, int, int], None]  # called with what is done, how much of it, of how much
+Step = Callable[[int, int], None]  # called with how much is done, of how much
+Stop = Callable[[], bool]
+
+Note = Callable[[str], None]
+"""Given a line that the user should read, and that is no result: what was damaged and computed again."""
+
+
+def no_progress(_what: str, _done: int, _of: int) -> None:
+    """Tell nobody."""
+
+
+def no_step(_done: int, _of: int) -> None:
+    """Tell nobody."""
+
+
+def never_stop() -> bool:
+    """Say that nobody wants to stop."""
+    return False
+
+
+def no_note(_line: str) -> None:
+    """Pass a line to nobody."""
+
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -1,13 +1,16 @@
-"""Base classes of all schemas: frozen records without unknown keys, names, and rigid motions."""
+"""Base classes of all schemas: frozen records without unknown keys, names, rigid motions, planes."""
 
 import math
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
 from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.schemas.names import file_name_fault, name_fault
+
+Compared = Literal["plane", "space"]  #: in their planes, or in space
+DIRECTIONS: dict[Compared, int] = {"plane": 1, "space": 2}  #: deflections of a point that are compared
 
 
 class Record(BaseModel):

@@ -4,12 +4,20 @@
 does not state is left out.
 """
 
-from typing import Any, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    StringConstraints,
+    model_serializer,
+)
 
-from needlefit.schemas.compared import Compared
+from needlefit.schemas.base import Compared, FileName
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.origin import Origin
 from needlefit.schemas.recipe import RecipeRecord
 
 Table = dict[str, Any]  #: what is stored for a reader alone
@@ -277,3 +285,65 @@ class PredictionMetadata(AnalysisMetadata):
     #: where the median is reported, parameters of the draw whose tip is nearest to it
     nearest: dict[str, float] | None = None
     drawn: dict[str, list[float]] | None = None  #: parameters of certified draws, evenly chosen, for its page
+
+
+# ---- the forms of `run.json`, `timing.json` and stored results, which are checked at every reading
+#
+# Only what later commands use is declared; other keys may stand beside it. That values are those that were
+# written the manifest states (`project.folders`).
+
+ColumnType = Annotated[
+    str, StringConstraints(pattern=r"^(u?int(8|16|32|64)|float(32|64)|bool|str|string|object)$")
+]
+
+
+class _StoredTable(BaseModel):
+    model_config = ConfigDict(strict=True, extra="ignore", frozen=True, protected_namespaces=())
+
+
+class RunTable(_StoredTable):
+    """The `run.json` of one run: what it was computed with."""
+
+    kind: str = ""
+    name: str = ""
+    versions: dict[str, str] = {}
+    dataset: dict[str, Any] | None = None
+
+
+class TimingTable(_StoredTable):
+    """The `timing.json` of one run."""
+
+    seconds: float = Field(default=0.0, ge=0)
+    jobs: int = 1
+    dataset: str = ""
+    folder: str = ""
+    sources: list[str] = []
+
+
+class FrameTable(_StoredTable):
+    """A frame: the type and the cells of each column."""
+
+    types: dict[str, ColumnType]
+    columns: dict[str, list[str | int | float | bool | None]]
+
+
+class FaultTable(_StoredTable):
+    """A fault of a stored result."""
+
+    kind: Literal["NOT_CONVERGED", "NOT_CERTIFIED"]
+    what: str
+
+
+class StoredRunTable(_StoredTable):
+    """Stored results of a study of any kind."""
+
+    kind: str
+    name: FileName
+    record: dict[str, Any]
+    origin: Origin
+    dataset_title: str
+    interrupted: bool
+    faults: list[FaultTable]
+    run: dict[str, Any]
+    frames: dict[FileName, FrameTable]
+    posteriors: list[str]

@@ -1,17 +1,186 @@
 """What `needlefit explain` prints: warnings, terms, columns of tables, keys of files."""
 
+import ast
 import csv
+import inspect
 import re
+import textwrap
+import types
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from itertools import pairwise
+from typing import Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 from needlefit.datasets.importing.meanings import MEANINGS
 from needlefit.grouping import group_values
 from needlefit.project.help_pages import Topic, read_sections, read_terms
-from needlefit.project.toml_reference import KeyDescription, describe_files
+from needlefit.project.toml import dumps, list_inner_records
 from needlefit.reporting.table import find_column, list_columns
+from needlefit.schemas.base import FileRecord
+from needlefit.schemas.dataset import DatasetRecord, SectionsRecord
+from needlefit.schemas.mapping import MappingRecord
+from needlefit.schemas.medium import MaterialRecord, MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.schemas.scene import SceneRecord
+from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.kind import list_records
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """A kind of TOML file, and its schema."""
+
+    name: str
+    title: str
+    record: type[FileRecord]
+
+
+FILES = (
+    FileKind("study", "Study", StudyRecord),
+    FileKind("fit", "Fit", FitRecord),
+    FileKind("medium", "Tissue model", MediumRecord),
+    FileKind("prior", "Prior of a material", MaterialRecord),
+    FileKind("recipe", "Recipe", RecipeRecord),
+    FileKind("dataset", "Dataset", DatasetRecord),
+    FileKind("mapping", "Mapping of an import", MappingRecord),
+    FileKind("sections", "Cross-sections of a needle", SectionsRecord),
+    FileKind("scene", "Scene", SceneRecord),
+    FileKind("reconstruction", "Reconstruction", ReconstructionRecord),
+)
+
+
+def list_files(studies: Mapping[str, type[FileRecord]]) -> tuple[FileKind, ...]:
+    """Return the kinds of file: those above, then the further ones of `studies`, by the kind of study."""
+    listed = [file.record for file in FILES]
+    further = (
+        FileKind(name, f"Study of kind `{name}`", study)
+        for name, study in studies.items()
+        if study not in listed
+    )
+    return (*FILES, *further)
+
+
+@dataclass(frozen=True)
+class KeyDescription:
+    """A key of a table: what it takes, and what it means."""
+
+    key: str
+    value: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class TableDescription:
+    """A table of a file, or the file itself: its title, what it is, and its keys."""
+
+    title: str
+    summary: str
+    keys: tuple[KeyDescription, ...]
+
+
+def describe_files(
+    studies: Mapping[str, type[FileRecord]],
+) -> list[tuple[FileKind, list[TableDescription]]]:
+    """Return the tables of all files of `list_files`; what one describes is not described again."""
+    described = dict[type[BaseModel], str]()
+    described_files = []
+    for file in list_files(studies):
+        described[file.record] = file.title
+        described_files.append((file, list(_describe_record(file.record, "", file.title, described))))
+    return described_files
+
+
+def _describe_record(
+    record: type[BaseModel], path: str, title: str, described: dict[type[BaseModel], str]
+) -> Iterator[TableDescription]:
+    """Yield the keys of a record, then those of the tables within it that were not described."""
+    keys, inner = [], []
+    for name, field in record.model_fields.items():
+        key, record_in = field.alias or name, next(list_inner_records(field.annotation), None)
+        if record_in and record_in not in described:
+            path_in = ".".join(filter(None, (path, key)))
+            inner.append((record_in, path_in))
+            described[record_in] = f"{title}: {path_in}"
+        value = f"up to {record.SCHEMA}, required" if name == "schema_" else _describe_value(field)  # type: ignore[attr-defined]
+        keys.append(KeyDescription(key, value, _find_meaning(record, name)))
+    summary = " ".join((inspect.getdoc(record) or "").partition("\n\n")[0].split())
+    yield TableDescription(described[record], summary, tuple(keys))
+    for record_in, path_in in inner:
+        yield from _describe_record(record_in, path_in, title, described)
+
+
+def _find_meaning(record: type[BaseModel], name: str) -> str:
+    """Return the docstring of a field, of the record or of a base class; KeyError if none has it."""
+    for kind in record.__mro__:
+        if name in (meanings := _field_docstrings(kind)):
+            return meanings[name]
+    raise KeyError(f"{record.__name__}.{name} has no docstring")
+
+
+@cache
+def _field_docstrings(record: type) -> dict[str, str]:
+    if not issubclass(record, BaseModel) or record is BaseModel:
+        return {}
+    body = ast.parse(textwrap.dedent(inspect.getsource(record))).body[0].body  # type: ignore[attr-defined]
+    return {
+        ast.unparse(field.target): " ".join(str(text.value.value).split())
+        for field, text in pairwise(body)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(text, ast.Expr)
+        and isinstance(text.value, ast.Constant)
+    }
+
+
+TYPES = {float: "float", int: "integer", str: "string", bool: "boolean"}  # as TOML calls them
+LIMITS = {
+    **{"ge": "≥ {:g}", "gt": "> {:g}", "le": "≤ {:g}", "lt": "< {:g}"},
+    **{"min_length": "at least {}", "max_length": "at most {}"},
+}
+
+
+def _describe_value(field: FieldInfo) -> str:
+    """Return type, bounds and default of a key."""
+    bounds = (
+        (words, getattr(limit, name, None)) for limit in field.metadata for name, words in LIMITS.items()
+    )
+    parts = [
+        _describe_type(field.annotation),
+        *(words.format(bound) for words, bound in bounds if bound is not None),
+    ]
+    if field.is_required():
+        parts.append("required")
+    else:
+        value = field.get_default(call_default_factory=True)
+        if not (value in (None, "", {}, ()) or isinstance(value, BaseModel)):
+            parts.append(f"default `{_format_value(value)}`")
+    return ", ".join(parts)
+
+
+def _describe_type(annotation: Any) -> str:  # noqa: ANN401 - whatever may stand in an annotation
+    """Return what a key takes, in words."""
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if origin is Literal:
+        return " or ".join(f"`{_format_value(part)}`" for part in inner)
+    if origin in (Union, types.UnionType):
+        return " or ".join(dict.fromkeys(_describe_type(part) for part in inner if part is not type(None)))
+    if hasattr(annotation, "__metadata__"):  # of Annotated
+        return _describe_type(inner[0])
+    if origin is dict:
+        return f"table of {_describe_type(inner[1])} by name"
+    if origin is tuple:
+        return f"array of {_describe_type(inner[0])}" + (f" × {len(inner)}" if inner[-1] is not ... else "")
+    return "table" if any(list_inner_records(annotation)) else TYPES.get(annotation, "value")
+
+
+def _format_value(value: Any) -> str:  # noqa: ANN401 - a TOML value
+    """Return a value as a TOML file has it."""
+    return dumps({"key": value}).partition("= ")[2].strip() if value != "" else '""'
 
 
 def read_input_columns() -> list[dict[str, str]]:

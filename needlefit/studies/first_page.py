@@ -346,7 +346,6 @@ class FirstPage:
     about: str = ""  #: what was fitted and what was predicted
     #: what was found; then the fitted parameters, with what limits them
     tables: Sequence[TableLayout] = ()
-    figures: Sequence[str] = ()  #: names of the figures that stand here
     checks: Sequence[Finding] = ()  #: whether it can be relied on
     advice: Advice | None = None  #: what to do
     method: str = ""  #: how it was computed

@@ -20,17 +20,16 @@ from needlefit.inference.problem import Problem, find_new_bevel_sd
 from needlefit.inference.sampling.importance import (
     LARGER_EFFORT,
     Effort,
+    LogDensityFunction,
     WeightedDraws,
     resample_draws,
     sample_about_fit,
     sample_about_modes,
 )
-from needlefit.inference.sampling.log_density import LogDensityFunction
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample, sample_density
 from needlefit.project.checkpoint import Checkpoint
-from needlefit.project.progress import Step, no_step
-from needlefit.project.tasks import run_parts
+from needlefit.project.tasks import Step, no_step, run_parts
 from needlefit.project.toml import describe_key
 from needlefit.reporting.table_files import Row
 from needlefit.studies.job import Job, Settings
@@ -270,6 +269,24 @@ class Specimens:
             mode,
         )
 
+    def describe(self, insertion: Insertion) -> Row:
+        """Return what is known of the specimen of an insertion, with the spread of a new one."""
+        mu, b, correlation, count = (np.nan,) * 4
+        treatment = "same" if insertion.specimen in self.tuned else "training only"
+        if self.differs(insertion):
+            model, sds, treatment = self.model, self.population.rms, "others"
+            count = float(len(self.tuned) if self.separate else 0)
+            mu = float(sds[0]) if model.moduli else 0.0
+            b = float(sds[model.moduli]) if len(sds) > model.moduli else 0.0
+            correlation = self.population.correlation if self.separate and model.correlated else np.nan
+        return {
+            "specimen_treatment": treatment,
+            "between_sd_ln_mu": mu,
+            "between_sd_ln_b": b,
+            "between_correlation": correlation,
+            "other_specimens": count,
+        }
+
     def list_draws(self, thetas: Floats) -> dict[str, Floats]:
         """Return as many draws (B, P) in each specimen that has some of its own, and in a `NEW_SPECIMEN`.
 
@@ -341,22 +358,3 @@ def choose_specimen(specimens: Specimens, into: str) -> Insertion | None:
             expected=f"new, or one of {', '.join(specimens.tuned)}",
         )
     return specimens.tuned.get(into, specimens.fold.tune)[0]
-
-
-def describe_specimen(new: Specimens | None, otherwise: str = "same") -> Row:
-    """Return what a prediction knows of its specimen, a new one; `otherwise` is what it is called without."""
-    mu, b, correlation, count, treatment = np.nan, np.nan, np.nan, np.nan, otherwise
-    if new is not None:
-        model, treatment = new.model, "others"
-        count = float(len(new.tuned) if new.separate else 0)
-        sds = new.population.rms
-        mu = float(sds[0]) if model.moduli else 0.0
-        b = float(sds[model.moduli]) if len(sds) > model.moduli else 0.0
-        correlation = new.population.correlation if new.separate and model.correlated else np.nan
-    return {
-        "specimen_treatment": treatment,
-        "between_sd_ln_mu": mu,
-        "between_sd_ln_b": b,
-        "between_correlation": correlation,
-        "other_specimens": count,
-    }

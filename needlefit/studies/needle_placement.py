@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from needlefit.arrays import Bools, Floats
 from needlefit.datasets.folds import Fold
@@ -23,6 +22,7 @@ from needlefit.inference.likelihood.observations import SimulatedCurve, align, s
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
+from needlefit.reporting.table_files import Row
 from needlefit.studies.observations import HeldOutPrediction
 
 NEEDLE_POINTS = 51  # points of a fitted needle and of its band
@@ -31,25 +31,15 @@ BAND_CURVES = ("low", "middle", "high")
 NOWHERE: Floats = np.empty(0)
 
 
-#: Of the table "needles": every insertion held out, or, of a single fold, any, point by point in its scan.
+#: Of the table "needles": every insertion held out, or, of a single fold, any, point by point in the patient
+#: coordinates of its scan (LPS). `role` is "validate" where the fit never saw it, else "tune"; `band_source`
+#: of a held-out needle "predicted", else "posterior", "" without a band. Of `curve` "measured" is the
+#: centreline, entry first; "fitted" is there where the solve succeeded; "low", "middle" and "high" are the
+#: simultaneous 95 % band in the bending plane, of certified draws.
 NEEDLE_COLUMNS = (
     *("fold", "role", "insertion", "diameter_mm", "band_source"),
     *("curve", "j", "x_mm", "y_mm", "z_mm"),
 )
-
-
-@dataclass(frozen=True)
-class NeedleInScan:
-    """One insertion in the patient coordinates of its scan, LPS, mm."""
-
-    insertion: str
-    fold: str
-    role: str  # "validate" where the fit never saw it, else "tune"
-    diameter: float  # of the needle as it is drawn
-    band_source: str  # of a held-out needle "predicted", else "posterior"; "" without a band
-    # (K, 3) each: "measured" is the centreline, entry first; "fitted" where the solve succeeded; "low",
-    # "middle", "high" are the simultaneous 95 % band in the bending plane, of certified draws
-    curves: Mapping[str, Floats]
 
 
 @dataclass(frozen=True)
@@ -104,8 +94,8 @@ def place_needles(
     predicted: Iterable[HeldOutPrediction] = (),
     *,
     fitted: bool = True,
-) -> Iterator[NeedleInScan]:
-    """Yield every insertion that a fold holds out, before them, if wanted, those that were `fitted` to.
+) -> Iterator[Row]:
+    """Yield rows of every insertion that a fold holds out, before, if wanted, of those `fitted` to.
 
     Where no needle is `predicted` it is that of the fit. Tip tracks were never in a scan: of them there is
     none.
@@ -127,19 +117,14 @@ def place_needles(
                 across = draws.bands.get(insertion.id, ())
                 band = [np.column_stack([points[:, 0], part]) for part in across]
             source = "posterior" if prediction is None else "predicted"
-            fitted_curve = {} if points is None else {"fitted": placement.to_patient(points)}
-            yield NeedleInScan(
-                insertion.id,
-                fold.name,
-                role,
-                insertion.needle.outer_diameter or DEFAULT_DIAMETER_MM,
-                source if band else "",
-                {
-                    "measured": insertion.patient.to_local(insertion.centerline),
-                    **fitted_curve,
-                    **dict(zip(BAND_CURVES, map(placement.to_patient, band), strict=False)),
-                },
-            )
+            curves = {"measured": insertion.patient.to_local(insertion.centerline)}
+            curves |= {} if points is None else {"fitted": placement.to_patient(points)}
+            curves |= dict(zip(BAND_CURVES, map(placement.to_patient, band), strict=False))
+            diameter = insertion.needle.outer_diameter or DEFAULT_DIAMETER_MM
+            about = (fold.name, role, insertion.id, diameter, source if band else "")
+            for name, places in curves.items():
+                for j, point in enumerate(places.tolist()):
+                    yield dict(zip(NEEDLE_COLUMNS, (*about, name, j, *point), strict=True))
 
 
 def place_points(dataset: Dataset, insertion: Insertion, s: Floats, points: Floats) -> Floats:
@@ -176,16 +161,3 @@ def _find_predicted_band(insertion: Insertion, rows: Sequence[Mapping[str, Any]]
     shift = np.interp(x, *insertion.points.T[:2]) - measured
     across = np.array([row.get("median_z_mm", 0.0) for row in rows])
     return [np.column_stack([x, y + shift, across]) for y in heights]
-
-
-def tabulate_needles_in_scan(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
-    """Return needles point by point: columns `NEEDLE_COLUMNS`."""
-    rows = []
-    for needle in needles:
-        about = (needle.fold, needle.role, needle.insertion, needle.diameter, needle.band_source)
-        rows += [
-            (*about, curve, j, *point)
-            for curve, points in needle.curves.items()
-            for j, point in enumerate(points.tolist())
-        ]
-    return pd.DataFrame(rows, columns=list(NEEDLE_COLUMNS))

@@ -18,9 +18,8 @@ from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_ro
 from needlefit.reporting import document
 from needlefit.reporting.document import Block, Document
 from needlefit.reporting.figures import Drawing
-from needlefit.reporting.latex import format_latex
 from needlefit.reporting.slicer import write_needles
-from needlefit.reporting.table import Table, TableLayout
+from needlefit.reporting.table import Table, TableLayout, format_latex
 from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_json
 from needlefit.reporting.text import KindText
 from needlefit.schemas.origin import ORIGIN_MARKS, combine_origins
@@ -74,7 +73,7 @@ class StudyReport:
     values: Callable[[Run], Mapping[str, Any]]  #: run -> the numbers and names that the text prints
     #: run -> its tables, which are also written as LaTeX
     tables: Callable[[Run], Sequence[Table | TableLayout]]
-    #: run -> its figures by name, that of the first page first: forms with their frames, which are
+    #: run -> its figures by name, those of the first page first: forms with their frames, which are
     #: written as CSV beside them
     figures: Callable[[Run], Mapping[str, Drawing]] = lambda run: {}
     #: run -> its first page; `Run.first_page`, which adds what every run has, is what others call
@@ -87,6 +86,7 @@ class StudyReport:
     }
     #: whether other files that needlefit wrote to the folder stay when the result is written again
     keeps_files: bool = False
+    first_figures: int = 1  #: number of figures on the first page
 
     def summarize(self, run: Run) -> list[str]:
         """Return the sentences about a run, the most important first."""
@@ -247,7 +247,7 @@ def compose_run_report(run: Run, figures: Mapping[str, Path]) -> Document:
         name: document.figure(path, report.text.sentence(f"figure_{name}", values))
         for name, path in figures.items()
     }
-    first = [pictures.pop(name) for name in page.figures or list(figures)[:1]]
+    first = [pictures.pop(name) for name in list(figures)[: report.first_figures]]
     blocks = [
         *compose_first_page(page, first),
         document.page_break(),

@@ -37,8 +37,7 @@ from needlefit.project.toml import add_key_context
 from needlefit.reporting.table_files import select_rows
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.origin import ORIGIN_MARKS, ORIGIN_NOTES, Origin
-from needlefit.schemas.result_files import RunTable, StoredRunTable, TimingTable
-from needlefit.schemas.run_metadata import FitMetadata, RunMetadata
+from needlefit.schemas.run_metadata import FitMetadata, RunMetadata, RunTable, StoredRunTable, TimingTable
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.first_page import STATUSES, FaultKind, FirstPage, RunFault, Verdict, list_doubts
 from needlefit.studies.kind import KINDS, find_kind

@@ -13,7 +13,7 @@ from needlefit.datasets import paper
 from needlefit.datasets.select import group_rows
 from needlefit.metrics import known_metrics, verdict_metrics
 from needlefit.reporting.table_files import Row, select_rows, to_records
-from needlefit.schemas.compared import DIRECTIONS
+from needlefit.schemas.base import DIRECTIONS
 from needlefit.schemas.run_metadata import JobMetadata
 from needlefit.studies.run import PREDICTION_METHOD, FitFrames, Run, list_methods, value_of_run
 

@@ -15,8 +15,7 @@ from needlefit.errors import ConfigError, FitError
 from needlefit.geometry.frames import Frame
 from needlefit.inference.forward_model import predict, with_planned_layers
 from needlefit.inference.likelihood import nodes
-from needlefit.inference.likelihood.observation import StatedErrors
-from needlefit.inference.likelihood.observations import OBSERVATIONS, TrueNeedle, measure
+from needlefit.inference.likelihood.observations import OBSERVATIONS, StatedErrors, TrueNeedle, measure
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, find_bevel_factors
 from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
@@ -24,8 +23,8 @@ from needlefit.mechanics.needle import Needle
 from needlefit.project.input_files import digest_values
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import locate_key
-from needlefit.schemas.analyses import SyntheticDataRecord
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.study import SyntheticDataRecord
 from needlefit.studies.job import Job
 
 

@@ -34,7 +34,7 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.reporting.needle_page import encode_measured
 from needlefit.reporting.table_files import select_rows
-from needlefit.schemas.compared import DIRECTIONS
+from needlefit.schemas.base import DIRECTIONS
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.origin import ORIGIN_MARKS
 from needlefit.schemas.recipe import RecipeRecord
@@ -295,8 +295,8 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     """Return an insertion with the fitted parameters of a run, by default the first held-out one."""
     from needlefit.inference.problem import find_new_bevel_sd
     from needlefit.studies.explorer import find_prediction
+    from needlefit.studies.load import read_data
     from needlefit.studies.run import FIT_KINDS, NEW_SPECIMEN, draw_insertion, restore_run, unpack
-    from needlefit.studies.study_files import read_data
 
     kind = unpack(view_target.path).get("kind")
     if kind not in FIT_KINDS:

@@ -66,7 +66,7 @@ def _scene(path):
 
 
 def _study(path):
-    return _late("studies.study_files.load_study_file")(path)
+    return _late("studies.load.load_study_file")(path)
 
 
 def _medium(path):

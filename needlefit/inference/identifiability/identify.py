@@ -44,7 +44,7 @@ from needlefit.inference.identifiability.profile import (
 )
 from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.inference.problem import Problem
-from needlefit.project.progress import Step, Stop, never_stop, no_step
+from needlefit.project.tasks import Step, Stop, never_stop, no_step
 
 #: largest range among equal starts, in these standard deviations, of a parameter called determined
 MAX_RANGE_SD = 4.0

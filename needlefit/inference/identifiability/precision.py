@@ -19,7 +19,7 @@ from needlefit.inference.identifiability.directions import (
     NORMAL_95_HALF_WIDTH_SD,
     is_determined_by_data,
 )
-from needlefit.inference.likelihood.observation import Discrepancy
+from needlefit.inference.likelihood.observations import Discrepancy
 from needlefit.inference.parameter_names import HYPERPARAMETERS, NOISE_SCALE, is_logarithmic
 from needlefit.inference.parameters import MATERIAL_SPREAD, Parameters, loosen_ties
 from needlefit.inference.posterior_density import NodePoints

@@ -13,8 +13,8 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import importance
+from needlefit.inference.sampling.importance import Evaluator, LogDensityFunction
 from needlefit.inference.sampling.interpolated_density import MAX_RMS_ERROR
-from needlefit.inference.sampling.log_density import Evaluator, LogDensityFunction
 from needlefit.inference.sampling.posterior import LOG_POSTERIOR, Posterior
 from needlefit.inference.sampling.samplers import SAMPLERS, Step
 from needlefit.schemas.recipe import SampleRecord

@@ -90,6 +90,31 @@ def curves(
     return figure
 
 
+def readings(frame: pd.DataFrame, x: str, x_label: str, y_label: str, height: float) -> Figure:
+    """Draw numbers that were measured, over the column `x`, and their predictions with 95 % intervals.
+
+    `frame` has the columns `panel`, by whose values panels are, each `height` inches high, `measured`,
+    `predicted`, `low` and `high`; the last two are empty where nothing certified was predicted.
+    """
+    groups = list(frame.groupby("panel", sort=False))
+    across = min(MAX_PANEL_COLUMNS, len(groups))
+    down = math.ceil(len(groups) / across)
+    figure = Figure(figsize=(TEXT_WIDTH_IN, height * down))
+    panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
+    for axes in panels.flat[len(groups) :]:
+        axes.set_axis_off()
+    for axes, (title, rows) in zip(panels.flat, groups, strict=False):
+        axes.vlines(rows[x], rows["low"], rows["high"], color=SERIES_COLOURS[0], alpha=0.4, lw=3)
+        axes.plot(rows[x], rows["predicted"], "_", color=SERIES_COLOURS[0], ms=7)
+        axes.plot(rows[x], rows["measured"], "o", color=INK, ms=2.5)
+        axes.set_title(title, loc="left")
+        axes.set_xlabel(x_label)
+        draw_grid(axes)
+    for axes in panels[:, 0]:
+        axes.set_ylabel(y_label)
+    return figure
+
+
 def lighten(colour: str, share: float) -> tuple[float, float, float]:
     """Return a colour with this share of white: opaque, so that it is the same over every background."""
     red, green, blue = (share + (1 - share) * part for part in to_rgb(colour))

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import matplotlib.style  # no pyplot: figures are made and saved without a global state or a display
 import numpy as np
@@ -205,17 +204,6 @@ def label_origin(figure: Figure, origin_mark: str) -> None:
     """Write the mark of data that were not measured across the top of a figure."""
     if origin_mark:
         figure.suptitle(origin_mark, x=0.995, ha="right", weight="bold", color=ALARM_COLOUR)
-
-
-def make_panels(count: int, height: float) -> tuple[Figure, Any]:
-    """Return a figure and its panels with the same axes, at most four in a row, each so high (inches)."""
-    across = min(4, count)
-    down = -(-count // across)
-    figure = Figure(figsize=(TEXT_WIDTH_IN, height * down))
-    panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
-    for axes in panels.flat[count:]:
-        axes.set_axis_off()
-    return figure, panels
 
 
 def draw_grid(axes: Axes) -> None:

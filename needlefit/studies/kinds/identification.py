@@ -34,8 +34,8 @@ from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
-from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.run_metadata import IdentificationMetadata
+from needlefit.schemas.study import TargetRecord
 from needlefit.studies import fit_figures
 from needlefit.studies.first_page import FirstPage, Verdict, advise
 from needlefit.studies.identification import (
@@ -47,10 +47,10 @@ from needlefit.studies.identification import (
 )
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import StudyKind
+from needlefit.studies.load import begin_run, prepare_target
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run
 from needlefit.studies.simulated_data import choose_reference_values, simulate_design
-from needlefit.studies.study_files import begin_run, prepare_target
 
 
 class IdentificationRecord(TargetRecord):

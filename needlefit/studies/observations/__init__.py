@@ -4,22 +4,31 @@ Each file has the name of its observation in `inference/likelihood/observations/
 prediction of its own, is predicted as points along the needle are.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, name_holes
 from needlefit.grouping import group_values
-from needlefit.inference.likelihood.observations import Curve
-from needlefit.inference.predict import Draws, PointPrediction
-from needlefit.project.progress import Step, no_step
+from needlefit.inference.curve_bands import CurveBands
+from needlefit.inference.likelihood.observations import OBSERVATIONS, Curve
+from needlefit.inference.predict import Draws, PointPrediction, PredictiveMixture, crps
+from needlefit.project.tasks import Step, no_step
 from needlefit.registry import Registry
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies.fold_draws import Specimens
 from needlefit.studies.job import Job
-from needlefit.studies.prediction_scores import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN
+from needlefit.studies.prediction_scores import (
+    AFTER_ONE_COLUMN,
+    CURVATURE_CRPS,
+    SHAPE_CRPS,
+    WIDTH_ERROR_COLUMN,
+    score_shape,
+)
 from needlefit.studies.run import Run
 
 #: Of the table "predictive": the distribution of every insertion held out, and how the measurement fell in
@@ -103,12 +112,21 @@ def predict_held_out(
         done += len(some)
 
 
-def describe_held_out(specimens: Specimens, insertion: Insertion, draws: Draws, failed: int) -> Row:
-    """Return the cells of "predictive" that state an insertion, and by which draws it is predicted.
+def describe_held_out(
+    specimens: Specimens,
+    insertion: Insertion,
+    draws: Draws,
+    mixture: PredictiveMixture,
+    measured: Floats,
+    bands: CurveBands,
+) -> Row:
+    """Return the cells of "predictive" of an insertion, but for its tip.
 
-    `failed`: how many of them have no solution.
+    By the `draws` that have a solution the numbers `measured` (K,) have the distribution `mixture`, and
+    simultaneous `bands`.
     """
     job = specimens.job
+    crps_column = SHAPE_CRPS if OBSERVATIONS[insertion.observation].has_tip else CURVATURE_CRPS
     return {
         "fold": specimens.fold.name,
         "insertion": insertion.id,
@@ -120,5 +138,9 @@ def describe_held_out(specimens: Specimens, insertion: Insertion, draws: Draws, 
         "draw_source": draws.source,
         "certified": not draws.faults,
         "draws": len(draws.thetas),
-        "failed_solves": failed,
+        "failed_solves": len(draws.thetas) - len(mixture.means),
+        AFTER_ONE_COLUMN: math.nan,
+        **specimens.describe(insertion),
+        **score_shape(mixture, measured, bands.pit(measured)),
+        crps_column: float(crps(mixture, measured).mean()),
     }

@@ -1,7 +1,10 @@
 """Tables and figure of curvatures: the readings of every needle."""
 
+import pandas as pd
+
 from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.curves import select_compared
+from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.inference.likelihood.observations import Curve
 from needlefit.inference.likelihood.observations.curvature import require_curvature, surround_sensors
 from needlefit.reporting.figures import Drawing
@@ -21,7 +24,15 @@ def draw_sensors(run: Run, role: str) -> dict[str, Drawing]:
         sd=1e3 * sensors["kappa_sd_1_per_mm"],
         origin=run.origin,
     )
-    return {"sensors": Drawing("curvature.draw", frame)} if len(frame) else {}
+    options = {"x": "s_mm", "x_label": "from the entry (mm)", "y_label": "curvature (1/m)", "height": 1.5}
+    return {"sensors": Drawing("forms.readings", frame, options, _add_ends)} if len(frame) else {}
+
+
+def _add_ends(sensors: pd.DataFrame) -> pd.DataFrame:
+    """Return readings with their intervals, and with needle and direction as panels."""
+    half, middle = NORMAL_95_HALF_WIDTH_SD * sensors["sd"], sensors["predicted"]
+    panels = sensors["insertion"] + sensors["direction"].map({"y": "", "z": ", z"})
+    return sensors.assign(panel=panels, low=middle - half, high=middle + half)
 
 
 def check_sensors(job: Job) -> None:

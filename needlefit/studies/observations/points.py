@@ -30,10 +30,9 @@ from needlefit.inference.draw_simulation import (
     simulate_draws,
     vary_bevels,
 )
-from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import (
-    OBSERVATIONS,
     Curve,
+    Observation,
     align,
     draw_rolls,
     list_scored,
@@ -46,20 +45,18 @@ from needlefit.inference.predict import (
     PointPrediction,
     PredictiveMixture,
     choose_point,
-    crps,
     find_geometric_median,
     rms_noise_scale,
 )
 from needlefit.inference.problem import Problem
-from needlefit.project.progress import Step
-from needlefit.project.tasks import compute_in_copies
+from needlefit.project.tasks import Step, compute_in_copies
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.studies import fit_figures
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.fold_draws import Specimens, describe_specimen
+from needlefit.studies.fold_draws import Specimens
 from needlefit.studies.job import Job
 from needlefit.studies.observations import (
     PREDICTIVE_COLUMNS,
@@ -75,7 +72,6 @@ from needlefit.studies.prediction_scores import (
     WIDTH_ERROR_COLUMN,
     estimate_width_after_one,
     find_end_error,
-    score_shape,
     score_tip,
     score_tip_in_space,
     tabulate_band,
@@ -138,9 +134,6 @@ class _Predictor:
         sets = specimens.list_sets(draws)
         drawn_needles = self._simulate(insertion, np.concatenate(stations), *self._vary(insertion, sets))
         rng = job.random(job.name, fold.name, "scored", insertion.id)
-        tuned = any(insertion.specimen == fitted.specimen for fitted in fold.tune)
-        differing = specimens if specimens.differs(insertion) else None
-        about = describe_specimen(differing, "same" if tuned else "training only")
         solved = drawn_needles.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
@@ -151,14 +144,7 @@ class _Predictor:
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
         whole = _PredictedReadings.of(observation, needles, factor)
         bands = predict_bands(whole.mixture.means, whole.covariance, rng)
-        row = {
-            **describe_held_out(specimens, insertion, draws, int(np.sum(~solved))),
-            AFTER_ONE_COLUMN: math.nan,
-            **about,
-            **score_shape(whole.mixture, whole.measured, bands.pit(whole.measured)),
-        }
-        crps_column = SHAPE_CRPS if OBSERVATIONS[insertion.observation].has_tip else CURVATURE_CRPS
-        row[crps_column] = float(crps(whole.mixture, whole.measured).mean())
+        row = describe_held_out(specimens, insertion, draws, whole.mixture, whole.measured, bands)
         if tip is not None:
             end = whole if tip is observation else _PredictedReadings.of(tip, tips, factor)
             row |= self._score_tip(end, rng)
@@ -168,7 +154,7 @@ class _Predictor:
         columns = (*PREDICTIVE_COLUMNS, *(name for name in FURTHER_COLUMNS if name in row))
         band, where = tuple[Row, ...](), {"fold": fold.name, "insertion": insertion.id}
         sensors = tuple({**where, **sensor} for sensor in tabulate_sensors(insertion, about_sensors))
-        if self.bands and crps_column == SHAPE_CRPS:
+        if self.bands and SHAPE_CRPS in row:
             points = tabulate_band(whole.mixture, bands, observation.measured)
             band = tuple({**where, **point} for point in points)
         row = {name: row.get(name) for name in columns}

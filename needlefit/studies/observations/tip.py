@@ -1,8 +1,10 @@
 """Figure of tips alone: deflections over depth."""
 
 import numpy as np
+import pandas as pd
 
 from needlefit.reporting.figures import Drawing
+from needlefit.reporting.labels import medium_name
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies.observations import StudiedObservation
 from needlefit.studies.run import FitFrames, Run
@@ -29,7 +31,13 @@ def draw_tips(run: Run, role: str) -> dict[str, Drawing]:
         low_mm=low,
         high_mm=high,
     )
-    return {"tips": Drawing("tip.draw", frame)}
+    options = {"x": "depth_mm", "x_label": "depth (mm)", "y_label": "tip deflection (mm)", "height": 1.9}
+    return {"tips": Drawing("forms.readings", frame, options, _name_panels)}
+
+
+def _name_panels(tips: pd.DataFrame) -> pd.DataFrame:
+    named = tips.rename(columns=lambda name: name.removesuffix("_mm") if name != "depth_mm" else name)
+    return named.assign(panel=tips["medium"].map(medium_name))
 
 
 TIP = StudiedObservation("tip", draw_tips)

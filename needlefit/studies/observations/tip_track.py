@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.folds import Fold
@@ -19,26 +18,26 @@ from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.draw_simulation import vary_bevels
 from needlefit.inference.forward_model import PreparedModel
-from needlefit.inference.likelihood.observation import Observation
-from needlefit.inference.likelihood.observations import make_observation
-from needlefit.inference.likelihood.observations.tip_track import follow_guide, split_directions
+from needlefit.inference.likelihood.observations import Observation, make_observation
+from needlefit.inference.likelihood.observations.tip_track import (
+    MIN_TUNED_RUNS,
+    PredictedReadings,
+    follow_guide,
+    predict_by_curve,
+    predict_runs,
+    split_directions,
+)
 from needlefit.inference.parameter_names import NOISE_SCALE
 from needlefit.inference.predict import PointPrediction, choose_point
 from needlefit.inference.problem import Problem
-from needlefit.inference.track_predictions import (
-    MIN_TUNED_RUNS,
-    PredictedReadings,
-    predict_by_curve,
-    predict_runs,
-)
 from needlefit.metrics import TRACK_RMS
-from needlefit.project.progress import Step
+from needlefit.project.tasks import Step
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.fold_draws import Specimens, describe_specimen
+from needlefit.studies.fold_draws import Specimens
 from needlefit.studies.job import Job
 from needlefit.studies.observations import (
     PREDICTIVE_COLUMNS,
@@ -46,7 +45,7 @@ from needlefit.studies.observations import (
     StudiedObservation,
     describe_held_out,
 )
-from needlefit.studies.prediction_scores import list_band_ends, score_shape, score_tip
+from needlefit.studies.prediction_scores import list_band_ends, score_tip
 from needlefit.studies.run import PREDICTION_METHOD, FitFrames, Run
 from needlefit.studies.score import Scorer, make_scorer
 
@@ -203,23 +202,18 @@ def _predict_ends(
         ahead = predict_runs(*simulated, counts, rng)
         curves = _predict_by_curves(job, fold, counts)
         for n, (run, count) in enumerate(zip(fold.validate, counts, strict=True)):
-            left = len(run.points) - count
-            for number in range(job.dataset.directions):
+            left, registered = len(run.points) - count, float(run.points[count - 1, 0])
+            for number, direction in enumerate("yz"[: job.dataset.directions]):
                 last, first = (number + 1) * left - 1, run.points[0, 1 + number]
-                about: Row = {
-                    **dict.fromkeys(END_COLUMNS, math.nan),
-                    **{"fold": fold.name, "run": run.id, "medium": run.medium, "direction": "yz"[number]},
-                    **{"registered_mm": float(run.points[count - 1, 0]), "depth_mm": run.depth},
-                    "measured_mm": float(run.points[-1, 1 + number] - first),
+                quantiles = np.quantile(ahead[n].values[:, last], [0.5, 0.025, 0.975])
+                ends = {PREDICTION_METHOD: quantiles} | {
+                    name: np.array([predicted[n][last], math.nan, math.nan])
+                    for name, predicted in curves.items()
                 }
-                low, middle, high = np.quantile(
-                    ahead[n].values[:, last] - first, [0.025, 0.5, 0.975]
-                ).tolist()
-                ends = {"predicted_mm": middle, "low_95_mm": low, "high_95_mm": high}
-                rows[n].append({**about, "method": PREDICTION_METHOD, **ends})
-                for name, predicted in curves.items():
-                    end = {"predicted_mm": float(predicted[n][last] - first)}
-                    rows[n].append({**about, "method": name, **end})
+                for method, tips in ends.items():
+                    places = np.array([run.points[-1, 1 + number], *tips]) - first
+                    about = (fold.name, run.id, run.medium, direction, method, registered, run.depth)
+                    rows[n].append(dict(zip(END_COLUMNS, (*about, *places.tolist()), strict=True)))
     return rows
 
 
@@ -353,12 +347,9 @@ def _describe_run(
     mixture = predict.PredictiveMixture(drawn.values, np.zeros(drawn.values.shape[1]))
     along_y = predict.PredictiveMixture(drawn.values[:, :count] - first, np.zeros(count))
     row = {
-        **describe_held_out(specimens, run, draws, len(draws.thetas) - len(drawn.values)),
-        **describe_specimen(specimens if specimens.differs(run) else None),
-        **score_shape(mixture, measured, find_bands(drawn.values).pit(measured)),
+        **describe_held_out(specimens, run, draws, mixture, measured, find_bands(drawn.values)),
         **score_tip(along_y, measured[:count] - first),
     }
-    row["shape_crps_mm"] = float(predict.crps(mixture, measured).mean())
     return {name: row.get(name) for name in PREDICTIVE_COLUMNS}
 
 
@@ -381,19 +372,11 @@ def _list_readings(
         if drawn is not None:
             ends = list_band_ends(find_bands(drawn.values[:, part]))
             columns |= {f"{name}_mm": end for name, end in ends.items()}
-        table = pd.DataFrame(
-            {
-                **dict.fromkeys(READING_COLUMNS, math.nan),
-                **{"fold": fold.name, "run": run.id, "medium": run.medium, "direction": "yz"[number]},
-                "method": method,
-                "depth_mm": depths,
-                "guide_mm": follow_guide(flat, depths),
-                "scored": np.arange(len(depths)) >= placed,
-                "measured_mm": tips - tips[0],
-            }
-        )
-        table.loc[placed:, [*columns]] = np.column_stack([*columns.values()]) - tips[0]
-        yield from (dict(zip(READING_COLUMNS, row, strict=True)) for row in table.itertuples(index=False))
+        for n, guide in enumerate(follow_guide(flat, depths)):
+            about = (fold.name, run.id, run.medium, "yz"[number], method, depths[n], guide)
+            row = dict(zip(READING_COLUMNS, (*about, n >= placed, tips[n] - tips[0]), strict=False))
+            later = {name: ends[n - placed] - tips[0] for name, ends in columns.items() if n >= placed}
+            yield dict.fromkeys(READING_COLUMNS, math.nan) | row | later
 
 
 def draw_tracks(run: Run, role: str) -> dict[str, Drawing]:

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
-from needlefit.inference.likelihood.observation import (
+from needlefit.inference.likelihood.observations import (
+    ObservationType,
     complete_observation,
     list_pose_modes,
     points_covariance,
     split_pose_modes,
 )
-from needlefit.inference.likelihood.observations import ObservationType
 
 HIDDEN_MM = 10.0
 

@@ -12,15 +12,18 @@ from needlefit.datasets.noise import NoiseFloor
 from needlefit.errors import DataError
 from needlefit.geometry.curves import Quantity, compare_curves
 from needlefit.inference.likelihood.nodes import make_nodes
-from needlefit.inference.likelihood.observation import QUARTER_TURN, Observation, StatedErrors, whiten
 from needlefit.inference.likelihood.observations import (
+    QUARTER_TURN,
     ComparedPoints,
+    Observation,
     ObservationType,
+    StatedErrors,
     TrueNeedle,
     turn_about_x,
+    whiten,
 )
 from needlefit.metrics import compute_metrics
-from needlefit.schemas.compared import Compared
+from needlefit.schemas.base import Compared
 
 INTEGRATION_POINTS = 1001  #: from the clamped end to the tip
 #: to both sides of a sensor, over which the simulated curvature is taken, mm

@@ -20,23 +20,21 @@ from needlefit.datasets.insertion import (
 from needlefit.geometry.curves import select_compared
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.geometry.smoothing_spline import fit_matrices, make_knots
-from needlefit.inference.likelihood.observation import (
+from needlefit.inference.likelihood.observations import (
+    OBSERVATIONS,
     Discrepancy,
     Observation,
+    ObservationType,
     StatedErrors,
+    TrueNeedle,
     complete_observation,
+    has_sections,
     list_pose_modes,
     points_covariance,
     pose_modes,
     pose_sds,
-    split_pose_modes,
-)
-from needlefit.inference.likelihood.observations import (
-    OBSERVATIONS,
-    ObservationType,
-    TrueNeedle,
-    has_sections,
     rotate_to_entry_axes,
+    split_pose_modes,
     turn_about_x,
 )
 from needlefit.schemas.dataset import MeasurementRecord

@@ -11,17 +11,19 @@ from scipy.linalg import block_diag
 
 from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
-from needlefit.inference.likelihood.observation import (
+from needlefit.inference.likelihood.observations import (
+    ComparedPoints,
     Observation,
+    ObservationType,
     StatedErrors,
+    TrueNeedle,
     complete_observation,
     list_pose_modes,
     points_covariance,
     split_pose_modes,
     whiten,
 )
-from needlefit.inference.likelihood.observations import ComparedPoints, ObservationType, TrueNeedle
-from needlefit.schemas.compared import Compared
+from needlefit.schemas.base import Compared
 
 
 @dataclass(frozen=True)

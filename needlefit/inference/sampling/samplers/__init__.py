@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.inference.sampling.importance import WeightedDraws
-from needlefit.inference.sampling.log_density import LogDensityFunction
+from needlefit.inference.sampling.importance import LogDensityFunction, WeightedDraws
 from needlefit.registry import Registry
 
 Step = tuple[Floats, Floats]  #: where W walkers are, thetas (W, P), and their log densities (W,)

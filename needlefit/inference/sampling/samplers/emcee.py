@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.inference.sampling.importance import Proposal, WeightedDraws
-from needlefit.inference.sampling.log_density import LogDensityFunction
+from needlefit.inference.sampling.importance import LogDensityFunction, Proposal, WeightedDraws
 from needlefit.inference.sampling.samplers import Sampler, Step
 
 INDEPENDENT_SHARE = 0.9  #: of the steps, by proposals of the mixture

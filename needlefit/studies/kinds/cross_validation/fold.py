@@ -31,8 +31,7 @@ from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.checkpoint import Checkpoint
-from needlefit.project.progress import Progress, no_progress
-from needlefit.project.tasks import compute_beside, stop_requested
+from needlefit.project.tasks import Progress, compute_beside, no_progress, stop_requested
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import CountMetadata
@@ -57,7 +56,7 @@ from needlefit.studies.kinds.cross_validation.rows import (
     list_published,
     make_start_row,
 )
-from needlefit.studies.needle_placement import FittedDraws, NeedleInScan, place_needles, simulate_fitted_draws
+from needlefit.studies.needle_placement import FittedDraws, place_needles, simulate_fitted_draws
 from needlefit.studies.observations import STUDIED, HeldOutPrediction, Tables, find_studied, predict_held_out
 from needlefit.studies.run import PREDICTION_METHOD, TUNED_SPECIMENS
 from needlefit.studies.score import make_predictors, make_scorer, predict_needle
@@ -135,7 +134,6 @@ class FoldResult:
     """What one fold gave: rows of the tables of `Run.frames` and of lists of its metadata; what it states."""
 
     rows: FitRows
-    needles: tuple[NeedleInScan, ...]
     mode: tuple[float, ...] | None  #: theta of the fit, if it maximises the posterior
     counts: Mapping[str, CountMetadata]  #: of simulations, as of `tabulate_validity`
     search_faults: tuple[str, ...]
@@ -230,15 +228,12 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
             if prediction.point is not None and prediction.point.is_median
         ],
     }
-    needles: Iterable[NeedleInScan] = ()
     if fitted is not None:
         several = len(job.folds) > 1  # of which only what they hold out is placed
-        needles = place_needles(
-            problem, fold, fitted, drawn.fitted if drawn else None, predicted, fitted=not several
-        )
+        simulated = drawn.fitted if drawn else None
+        rows["needles"] = [*place_needles(problem, fold, fitted, simulated, predicted, fitted=not several)]
     return FoldResult(
         rows=rows,
-        needles=tuple(needles),
         mode=fitted.theta if fitted and fitted.minimized == "posterior" else None,
         counts={
             "draws": drawn.count if drawn else CountMetadata(),

@@ -20,9 +20,8 @@ from needlefit.inference.parameter_names import BEVEL_PARAMETERS
 from needlefit.inference.problem import find_new_bevel_sd
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.processes import one_thread
-from needlefit.project.progress import no_note
 from needlefit.project.result_warnings import to_stored_rows
-from needlefit.project.tasks import LocalPool, can_fork
+from needlefit.project.tasks import LocalPool, can_fork, no_note
 from needlefit.reporting.table_files import select_rows
 from needlefit.schemas.run_metadata import EffectMetadata, FitMetadata, InsertionMetadata, JobMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
@@ -41,7 +40,6 @@ from needlefit.studies.kinds.cross_validation.fold import (
 )
 from needlefit.studies.kinds.cross_validation.rows import FRAMES
 from needlefit.studies.load import find_odd_needles, join_folds, load_study
-from needlefit.studies.needle_placement import tabulate_needles_in_scan
 from needlefit.studies.prediction_scores import add_errors_over_noise
 from needlefit.studies.run import Run
 
@@ -127,10 +125,10 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
     posteriors = {name: result.posterior for name, result in of_folds.items() if result.posterior is not None}
     search_faults = {name: list(result.search_faults) for name, result in of_folds.items()}
     search_faults = {name: faults for name, faults in search_faults.items() if faults}
-    needles = {needle.insertion: needle for result in results for needle in result.needles}
-    frames = {name: _make_frame(job, name, rows) for name in FRAMES if name != "needles"}
-    frames = add_errors_over_noise(frames)
-    frames["needles"] = tabulate_needles_in_scan(needles.values())
+    frames = add_errors_over_noise({name: _make_frame(job, name, rows) for name in FRAMES})
+    needles = frames["needles"]  # of an insertion that several folds hold out, that of the last one
+    last = needles.groupby("insertion")["fold"].transform("last")
+    frames["needles"] = needles[needles["fold"] == last]
     unconverged = [fault for posterior in posteriors.values() for fault in posterior.faults]
     mode, interrupted, factors = results[0].mode, results[-1].interrupted, dict[str, float]()
     doubts = Doubts() if mode is None or interrupted else find_odd_needles(job, mode)

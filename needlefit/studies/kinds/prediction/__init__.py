@@ -10,9 +10,9 @@ What is known of the fit, by a run of it, stands first: its verdict and failed c
 
 from typing import Literal
 
-from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.run_metadata import PredictionMetadata
 from needlefit.schemas.scene import SceneRecord
+from needlefit.schemas.study import TargetRecord
 from needlefit.studies.kind import StudyKind
 
 

@@ -34,8 +34,8 @@ from needlefit.inference.predict import (
 )
 from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
-from needlefit.project.progress import no_note
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
+from needlefit.project.tasks import no_note
 from needlefit.project.toml import find_named
 from needlefit.project.unit_warnings import extrapolation_warnings, scene_warnings
 from needlefit.schemas.medium import MediumRecord
@@ -57,9 +57,9 @@ from needlefit.studies.identification import ParameterRow, add_intervals, interv
 from needlefit.studies.identity import describe_change, identify
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kinds.prediction import PredictionRecord
+from needlefit.studies.load import begin_run, is_study, prepare_target, prepare_with_held_out
 from needlefit.studies.report import find_report, recall
 from needlefit.studies.run import Run, posterior_file_names, restore_run
-from needlefit.studies.study_files import begin_run, is_study, prepare_target, prepare_with_held_out
 
 # ---- the needle for all draws of the parameters, its intervals and bands
 

@@ -2,8 +2,8 @@
 
 from typing import Literal
 
-from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.schemas.study import AnalysisRecord
 from needlefit.studies.kind import StudyKind
 
 

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from needlefit.schemas.analyses import AnalysisRecord
+from needlefit.schemas.study import AnalysisRecord
 from needlefit.studies.kind import StudyKind
 
 
