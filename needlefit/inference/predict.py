@@ -116,10 +116,11 @@ def crps(mixture: PredictiveMixture, measured: ArrayLike) -> Floats:
     some = ranked[step // 2 :: step]
     first, second = np.triu_indices(len(some), 1)
     apart = [m[second] - m[first] for m in some.T]
-    near = [m[m < BRACKET_SD * s] for m, s in zip(apart, sd, strict=True)]  # farther ones add nothing
-    added = [(_mean_absolute(m, s) - m).sum() for m, s in zip(near, sd, strict=True)]
+    near = [m[m < BRACKET_SD * s] / s for m, s in zip(apart, sd, strict=True)]  # farther ones add nothing
+    # of a Gaussian x about z deviations: the mean of |x|, less z
+    added = 2 * sd * [_density(z).sum() - z @ scipy.special.ndtr(-z) for z in near]
     # each pair of different draws counts twice, and each draw beside itself
-    between = between + (2 * np.array(added) / len(some) + _mean_absolute(np.zeros(len(sd)), sd)) / len(some)
+    between = between + (2 * added / len(some) + _mean_absolute(np.zeros(len(sd)), sd)) / len(some)
     return off - between / 2
 
 
@@ -140,8 +141,12 @@ def _mean_absolute(mean: Floats, sd: Floats) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"):
         # a deviation of 0 is a point mass: its mean absolute value is |mean|
         z = np.where(sd > 0, mean / sd, 0.0)
-    density = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
-    return np.where(sd > 0, 2 * sd * density + mean * (2 * scipy.special.ndtr(z) - 1), np.abs(mean))
+    return np.where(sd > 0, 2 * sd * _density(z) + mean * (2 * scipy.special.ndtr(z) - 1), np.abs(mean))
+
+
+def _density(z: Floats) -> Floats:
+    """Return the density of the standard normal distribution."""
+    return np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
 
 
 Source = Literal["posterior", "importance"]
