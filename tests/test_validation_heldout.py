@@ -106,6 +106,14 @@ def test_with_exact_parameters_and_depths_pose_and_point_errors_remain(job, know
     assert errors[0] == approx(errors[1], abs=1e-9)
 
 
+def test_a_path_may_leave_the_medium_a_predicted_needle_may_not(job, known):
+    insertion, values = job.folds[0].validate[0], job.parameters.values(known.thetas[0])
+    met = with_planned_layers(insertion, values, job.medium)
+    beyond = replace(insertion.surfaces[0], into=job.medium.layers + 1)
+    assert max(met.sequence) <= job.medium.layers
+    assert with_planned_layers(replace(insertion, surfaces=(beyond,)), values, job.medium) is None
+
+
 def test_readings_of_curvature_are_predicted_with_the_error_of_their_sensor(job, known):
     insertion, sd = exact(job.folds[0].validate[0]), np.array([1e-4, 2e-4])
     insertion = replace(insertion, curvature=np.column_stack([[5.0, 20.0], np.zeros((2, 2)), sd]))

@@ -16,6 +16,7 @@ from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.grouping import group_values
 from needlefit.inference.forward_model import (
     MAX_DRAWN_LAYERS,
+    clip_layers,
     find_path_layers,
     make_batch,
     stack_values,
@@ -107,7 +108,7 @@ def simulate_draws(
         # and by up to 0.7 and 1.1 mm in sheets inclined by 60 and 75 degrees.
         stations, still = np.linspace(0.0, insertion.depth, PATH_POINTS), np.zeros_like(deep)
         (depths,), (sequence,) = find_path_layers(np.outer(stations, (1.0, 0.0, 0.0))[None], insertion)
-        met = [(every, np.tile(depths, (len(sets), 1)), tuple(sequence.tolist()))]
+        met = [(every, np.tile(depths, (len(sets), 1)), clip_layers(sequence.tolist(), medium))]
         straight = _simulate(sets, medium, insertion, stations, met, still, np.zeros_like(wrong), jobs, False)
         met = _find_met_layers(straight.points, insertion, wrong)
     return _simulate(sets, medium, insertion, s, met, deep, wrong, jobs)

@@ -5,7 +5,7 @@ Derivatives by theta are the mechanics' own, chained through logarithms and ties
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -552,7 +552,8 @@ def with_planned_layers(
     path = np.outer(np.linspace(0.0, insertion.depth, 101), (1.0, 0.0, 0.0))
     depths, sequence = _find_layers(path, insertion)
     for round_ in range(MAX_ROUNDS):
-        shape = predict(values, medium, replace(insertion, boundaries=depths, sequence=sequence))
+        inside = clip_layers(sequence, medium)
+        shape = predict(values, medium, replace(insertion, boundaries=depths, sequence=inside))
         if not shape.converged:
             return None
         before = depths, sequence
@@ -565,6 +566,11 @@ def with_planned_layers(
         if round_ >= HALVED_ROUNDS:  # crossings can alternate between two states; half steps damp that
             depths = 0.5 * (depths + before[0])
     return None
+
+
+def clip_layers(sequence: Iterable[int], medium: MediumRecord) -> tuple[int, ...]:
+    """Return layers met on the way to those of a needle: beyond the medium its last one goes on."""
+    return tuple(min(layer, medium.layers) for layer in sequence)
 
 
 def _find_layers(curve: Floats, insertion: Insertion) -> Layers:
