@@ -175,6 +175,18 @@ def test_a_blunt_needle_has_no_side_and_the_shipped_recipe_states_the_defaults()
 
 # ---- a needle near thick slices
 
+
+@pytest.mark.parametrize("moved", [1, 4])  # voxels
+def test_a_step_between_two_slices_is_found_where_it_is(moved):
+    volume = cases.scan(cases.axis(curve=(1.0, 2.0)))
+    assert found(volume).step is None
+    values = volume.values.copy()
+    values[50:] = np.roll(values[50:], moved, axis=2)
+    step = found(replace(volume, values=values)).step
+    assert abs(step.size - moved * cases.SPACING) < 3 * step.sd < 0.3
+    assert abs(step.place[2] - 49.5 * cases.SPACING) < 1.0
+
+
 SLICES_MM = 1.5
 
 
@@ -213,6 +225,16 @@ def test_a_needle_near_thick_slices_does_not_follow_their_staircase(tilt, overla
     hidden = line.sections.shared_along
     assert np.linalg.norm(hidden) == pytest.approx(abs(hidden @ [0, 0, 1])) and 0 < abs(hidden[2]) < 0.5
     assert np.isnan([*line.bevel, line.roll_sd]).all()  # blunt
+    assert line.step is None
+
+
+def test_a_step_of_a_needle_near_thick_slices_is_found():
+    volume, _ = in_slices(6.0, 0.4)
+    volume.values[9:] = np.roll(volume.values[9:], 1, axis=1)  # by 0.5 mm
+    recipe = cases.recipe(needle={"bevel_deg": 90}, centerline={"entry_direction": [1, 0, 0]})
+    step = found(volume, recipe).step
+    assert abs(step.size - 0.5) < 0.1 and step.sd < 0.06
+    assert abs(step.place[2] - 8.5 * SLICES_MM) < 0.2
 
 
 @pytest.mark.parametrize(("tilt", "hu", "power"), [(6.0, 2500, 0.6), (8.0, 2500, 1.0), (8.0, 3000, 1.0)])

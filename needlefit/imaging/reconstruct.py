@@ -97,8 +97,15 @@ def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[
 
 
 def list_tip_warnings(one: Reconstruction) -> list[str]:
-    """Return what a person should know of the needle's end."""
+    """Return what a person should know of the needle's image and its end."""
     needle, notes = one.needle_axis, []
+    if (step := needle.step) is not None:
+        away = float(np.linalg.norm(needle.tip - step.place))
+        notes.append(
+            f"from one slice to the next, {away:.0f} mm before the tip (L, P, S = "
+            f"{', '.join(f'{x:.0f}' for x in step.place)} mm), the needle goes on about {step.size:.1f} mm "
+            "beside itself: the patient moved, or slices are missing or repeated; leave this scan out"
+        )
     sd = f"± {float(needle.tip_sd[0]):.2f} mm"
     if needle.tip_sd[0] > MM.TIP_DOUBT:
         notes.append(f"the tip is known to {sd} only along the needle")
@@ -110,8 +117,7 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
     if needle.misfit > (PART.SLICE_MISFIT if needle.normal_sd else PART.END_MISFIT):
         notes.append(
             f"the image of the needle's end differs from that of the model by {100 * needle.misfit:.0f} % of "
-            "its brightness: another diameter or bevel than stated, metal or air beside it, or something "
-            "moved between slices; look at it"
+            "its brightness: another diameter or bevel than stated, or metal or air beside it; look at it"
         )
     if np.isfinite(needle.bevel_deg):
         notes.append(

@@ -26,6 +26,7 @@ from needlefit.imaging.needle.follow import follow_tube
 from needlefit.imaging.needle.hub import find_hub
 from needlefit.imaging.needle.segmentation import Component
 from needlefit.imaging.needle.slice_fit import place_in_slices
+from needlefit.imaging.needle.step import Step, find_section_step
 from needlefit.imaging.needle.tip import TIP, TipFit, bevel_length, fit_tip, search_tip
 from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.volume import Volume, measure_face_distance
@@ -53,6 +54,7 @@ class Centerline:
     bevel_deg: float = np.nan  # angle of the bevel that the image shows, where it contradicts the stated one
     # Deviation of the tip along the slices' normal, mm, of a needle near thick slices; otherwise 0.
     normal_sd: float = 0.0
+    step: Step | None = None  # where the rest of the needle lies beside it, from one slice on
 
 
 def trace_needle(
@@ -78,7 +80,7 @@ def trace_needle(
         axis = refine_axis(volume, axis, recipe, heel, at)
         placed = place_in_slices(volume, axis, recipe, at, spread)
         if placed is not None:
-            axis, end = placed
+            axis, end, _ = placed
         else:
             start = search_tip(volume, axis, recipe.needle, at, spread)
             axis = refine_axis(volume, axis, recipe, heel, float(start[TIP]))
@@ -115,8 +117,9 @@ def trace_needle(
         end = TipFit(place, point, sd, unknown, float("nan"))
     # through the tip, so that the end is interpolated: what its deviation adds for the model's error is none
     # of its place beside the last cross-sections
+    step = placed[2] if placed is not None else find_section_step(volume, axis)
     axis = extend_axis(axis, end.at, end.point, MM.GRID_SD, MM.KNOT)
-    return _sample_centerline(volume, axis, end, recipe)
+    return replace(_sample_centerline(volume, axis, end, recipe), step=step)
 
 
 def refuse_fold(points: Floats) -> None:

@@ -40,6 +40,7 @@ from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlatio
 from needlefit.imaging.needle.follow import STEP_MM
 from needlefit.imaging.needle.hub import Hub, find_hub
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, VIEW_STEP, Rod
+from needlefit.imaging.needle.step import Step, find_step
 from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, ROLL_FACTOR, ROUGH_STEPS, TipFit, point_bevel
 from needlefit.imaging.point_spread import PointSpread, expected_spread, robust_sd
 from needlefit.imaging.volume import Volume, to_index
@@ -73,8 +74,10 @@ HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, 
 
 def place_in_slices(
     volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, tip: float, spread: PointSpread | None
-) -> tuple[AxisSpline, TipFit] | None:
-    """Return axis and tip as thick slices show them as a whole; `tip`: about where it is, mm along `axis`.
+) -> tuple[AxisSpline, TipFit, Step | None] | None:
+    """Return axis and tip as thick slices show them as a whole, and a step between two slices.
+
+    `tip`: about where it is, mm along `axis`.
 
     None where the needle crosses many slices between two knots, too little of it shows, or it stops few rays
     and the slices are not explained: its sections then are as bright as it is.
@@ -102,7 +105,8 @@ def place_in_slices(
         if np.count_nonzero(problem.seen.any(axis=0)) < 2 * len(problem.start):
             return None
         start = problem.place_rod(ROUGH).search()
-        theta, covariance, error = problem.place_rod(1.0).solve(start)
+        fine = problem.place_rod(1.0)
+        theta, covariance, error = fine.solve(start)
         across, along, (end, roll), scan = problem.split(theta)
         transparent = scan[0] < problem.means[0] - SD.DISAGREEMENT * problem.sds[0]
         if transparent and hub is None and error > PART.END_MISFIT:
@@ -136,7 +140,10 @@ def place_in_slices(
     sd = np.hypot([np.hypot(end_sd, 2 * missed), np.linalg.norm(sds[:, -1]) / np.sqrt(2)], MM.MODEL_SD)
     roll_sd = ROLL_FACTOR * float(roll_sd) if rolled else np.nan
     bevel = point_bevel(frame[1], normal, float(roll), roll_sd)
-    return placed, TipFit(float(s[-1]), points[-1], sd, bevel, roll_sd, error)
+    step = fine.find_step(theta)
+    if step is not None:
+        step = replace(step, place=origin + step.place @ frame)
+    return placed, TipFit(float(s[-1]), points[-1], sd, bevel, roll_sd, error), step
 
 
 def _extend(spline: BSpline, x: Floats) -> Floats:
@@ -199,7 +206,7 @@ class _SliceProblem:
         # smallest and largest that the scanner shows
         self.cut = low, top if np.count_nonzero(shown > top) > 3 else np.inf
         self.shown: Floats = np.where(self.seen[..., None], shown, 0.0)  # (K, S, U)
-        self.rim = np.abs(line) > MM.RIM  # (U,); what shows the surroundings
+        self.line, self.rim = line, np.abs(line) > MM.RIM  # (U,); the second shows the surroundings
         self.level = self.shown[..., self.rim].mean(axis=-1, keepdims=True)  # (K, S, 1); their brightness
         # deviations of what slices show before the model's error is known (K, S, U)
         self.first_scale = np.hypot(FIRST_ERRORS[0], FIRST_ERRORS[1] * (self.shown - self.level))
@@ -385,6 +392,25 @@ class _SliceProblem:
         noise = robust_sd(left[seen & ~bright])
         error = robust_sd(left[bright] / over[bright])
         return np.hypot(max(noise, 0.005), np.clip(error, 0.02, 0.5) * over)
+
+    def find_step(self, theta: Floats) -> Step | None:
+        """Return the step across the needle that sections in the slices show; its place as in `frame`."""
+        across, along, *_ = self.split(theta)
+        seen, line = self.seen, self.line
+        middles, peaks = np.zeros((2, 2, *seen.shape))
+        for n, shown in enumerate((self.shown, self.image(self.project(theta), theta))):
+            over = shown - self.level
+            peaks[n] = over.max(axis=-1)
+            over = np.clip(over - PART.FAINT * peaks[n][..., None], 0, None)
+            middles[n] = over @ line / np.maximum(over.sum(axis=-1), 1e-9)
+        clear = (seen & (peaks > PART.FAINT * np.percentile(peaks[:, seen], 97)).all(axis=0)).T  # (S, K)
+        thick, heights, stations, _ = self.samples
+        course = np.column_stack([stations, self.at @ across, self.at @ along])
+        between = heights[:-1] + thick / 2
+        places = course[np.abs(course[:, 2] - between[:, None]).argmin(axis=1)]
+        shifts = (heights > between[:, None])[:, None] & clear
+        beside = np.where(clear, (middles[0] - middles[1]).T, 0.0)[..., None]
+        return find_step(beside, self.at[:, None] * clear[..., None], shifts.astype(float), places)
 
     def error(self, image: Floats) -> float:
         """Return the relative error of what slices show."""
