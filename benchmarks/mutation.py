@@ -75,7 +75,7 @@ AREAS = {
         ("inference/error_fit.py",),
         ("inference_error_fit",),
     ),
-    "held": Area(("inference/held_parameters.py",), ("inference_held",)),
+    "held": Area(("inference/predict.py",), ("inference_held",)),
     "judge": Area(("studies/judge.py",), ("judge",)),
     "parameters": Area(
         ("inference/parameters.py", "inference/prior.py", "inference/parameter_changes.py"),

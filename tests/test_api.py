@@ -14,7 +14,8 @@ from refusals import refusal
 import needlefit
 from needlefit import api
 from needlefit.errors import ConfigError
-from needlefit.inference import held_parameters, optimize
+from needlefit.inference import optimize
+from needlefit.inference import predict as held
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.studies import fold_draws
 from needlefit.studies.kinds.prediction import run as prediction
@@ -109,7 +110,7 @@ def test_alpha_is_freed_where_draws_alone_show_that_it_moves_points(dataset, mon
     moved = []
 
     def record(*given):
-        found = held_parameters.measure_shifts(*given)
+        found = held.measure_shifts(*given)
         moved.append(found["alpha1"].in_noise)
         return found
 
@@ -124,7 +125,7 @@ def test_alpha_is_freed_where_draws_alone_show_that_it_moves_points(dataset, mon
     assert fit().loc["alpha1", "status"] == "prior"
     at_fit, over_draws = moved
     assert 0 < at_fit < over_draws < 0.1
-    monkeypatch.setattr(held_parameters, "MAX_HIDDEN_SHIFT", (at_fit + over_draws) / 2)
+    monkeypatch.setattr(held, "MAX_HIDDEN_SHIFT", (at_fit + over_draws) / 2)
     freed, asked = fit(), fit(free=["alpha1"])
     assert moved[2:] == [at_fit, over_draws]  # of the fit that asked for it nothing is held
     assert freed.loc["alpha1", "status"] == "free" and math.isnan(freed.loc["alpha1", "tip_shift_mm"])

@@ -11,13 +11,12 @@ from pytest import approx
 
 from needlefit.datasets.read import read
 from needlefit.inference.forward_model import predict
-from needlefit.inference.held_parameters import central_range, draw_held, log_prior_integral, measure_shifts
-from needlefit.inference.identifiability.identify import identify
-from needlefit.inference.identifiability.precision import posterior_sds
+from needlefit.inference.identifiability.precision import identify, posterior_sds
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameter_changes import change_parameters, name_layers, search_freed
 from needlefit.inference.parameters import Parameters
+from needlefit.inference.predict import central_range, draw_held, log_prior_integral, measure_shifts
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
 from needlefit.inference.sampling.sample import sample
 from needlefit.mechanics.shape import sample_inserted_points

@@ -12,9 +12,8 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.inference.held_parameters import PriorShift, central_range
 from needlefit.inference.identifiability import directions, precision
-from needlefit.inference.identifiability.identify import (
+from needlefit.inference.identifiability.precision import (
     FitProfiles,
     Identifiability,
     is_determined_by_profile,
@@ -22,7 +21,7 @@ from needlefit.inference.identifiability.identify import (
 from needlefit.inference.identifiability.profile import DEVIANCE_95
 from needlefit.inference.parameter_names import is_logarithmic, to_coordinate, to_value
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.predict import Draws, estimate_end_errors
+from needlefit.inference.predict import Draws, PriorShift, central_range, estimate_end_errors
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.reporting.number_format import (

@@ -34,7 +34,6 @@ from scipy.special import gammaln
 
 from needlefit.arrays import Bools, Floats, log_sum_exp
 from needlefit.inference.fit import EVALUATION_ERRORS, Fit
-from needlefit.inference.held_parameters import draw_held, log_prior_integral
 from needlefit.inference.identifiability.directions import UNINFORMED_SD_RATIO
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.identifiability.profile import (
@@ -45,7 +44,7 @@ from needlefit.inference.identifiability.profile import (
 )
 from needlefit.inference.parameter_names import BEVEL_SPREAD
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.predict import Draws
+from needlefit.inference.predict import Draws, draw_held, log_prior_integral
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.interpolated_density import InterpolatedDensity
 

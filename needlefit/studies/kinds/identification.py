@@ -20,15 +20,14 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.draw_simulation import vary_bevels
 from needlefit.inference.fit import Fit
-from needlefit.inference.held_parameters import measure_shifts
 from needlefit.inference.identifiability import precision
 from needlefit.inference.identifiability.design_gain import PredictedData, fisher_information, nested_gain
-from needlefit.inference.identifiability.identify import find_together, profile_parameters
-from needlefit.inference.identifiability.precision import cramer_rao
+from needlefit.inference.identifiability.precision import cramer_rao, find_together, profile_parameters
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.likelihood.nodes import make_group
 from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE
+from needlefit.inference.predict import measure_shifts
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample_about_modes
 from needlefit.reporting.table import Table, TableLayout

@@ -19,15 +19,14 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.inference.doubts import examine_depths
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start
-from needlefit.inference.held_parameters import PriorShift
-from needlefit.inference.identifiability.identify import (
+from needlefit.inference.identifiability.precision import (
     LOG_POSTERIOR_TOLERANCE,
     FitProfiles,
     identify,
     profile_parameters,
 )
 from needlefit.inference.likelihood.observations import Curve
-from needlefit.inference.predict import Draws
+from needlefit.inference.predict import Draws, PriorShift
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.checkpoint import Checkpoint

@@ -123,8 +123,9 @@ def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> 
     rows = [result.rows for result in results]
     of_folds = {fold.name: result for fold, result in zip(job.folds, results, strict=False)}
     posteriors = {name: result.posterior for name, result in of_folds.items() if result.posterior is not None}
-    search_faults = {name: list(result.search_faults) for name, result in of_folds.items()}
-    search_faults = {name: faults for name, faults in search_faults.items() if faults}
+    search_faults = {
+        name: list(result.search_faults) for name, result in of_folds.items() if result.search_faults
+    }
     frames = add_errors_over_noise({name: _make_frame(job, name, rows) for name in FRAMES})
     needles = frames["needles"]  # of an insertion that several folds hold out, that of the last one
     last = needles.groupby("insertion")["fold"].transform("last")
