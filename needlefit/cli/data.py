@@ -99,8 +99,14 @@ def import_data(
     it asks for what is open and shows the mapping, to be changed or taken; --yes takes what is proposed. OUT
     also gets a picture, a first study and a scene. The default is ./FILE-dataset.
     """
-    from needlefit.datasets.importing.prepare import prepare_import
-    from needlefit.project.folders import require_new, require_no_inputs_within, require_replaceable
+    from needlefit.datasets.importing.prepare import UnreadError, prepare_import
+    from needlefit.datasets.importing.writing import write_mapping
+    from needlefit.project.folders import (
+        replace_file,
+        require_new,
+        require_no_inputs_within,
+        require_replaceable,
+    )
     from needlefit.reporting.dataset_import import (
         PICTURE_FILE,
         explain_unclear,
@@ -121,7 +127,15 @@ def import_data(
     asks = not yes and not invocation.json and sys.stdin.isatty() and sys.stderr.isatty()
     assignments = [split_pair(text) for text in set_ or []]
     prompt, review = (_ask, _review) if asks else (None, None)
-    prepared = prepare_import(files, assignments, mapping, prompt, review)
+    try:
+        prepared = prepare_import(files, assignments, mapping, prompt, review)
+    except UnreadError as error:
+        draft = out.with_name(f"{out.name}_mapping.toml")
+        if draft.exists():  # it may have been corrected
+            raise error.error from None
+        with replace_file(draft) as fresh:
+            write_mapping(fresh, error.mapping)
+        raise error.error.replace(fix=f"{error.fix}; or correct {draft}, and add --mapping {draft}") from None
     dataset = write_import(out, prepared, overwrite)
     needles = tabulate_needles(dataset)
     if invocation.json:

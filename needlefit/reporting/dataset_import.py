@@ -81,8 +81,7 @@ def tabulate_needles(dataset: Dataset) -> pd.DataFrame:
 
 def explain_unclear(dataset: Dataset) -> str:
     """Return what bends that are not clear were compared with, and how to state a side; "" without any."""
-    beside = [insertion for insertion in dataset.insertions if not insertion.in_tracker_frame]
-    bends = measure_bends(beside, dataset.noise)
+    bends = measure_bends(dataset.insertions, dataset.noise)
     limits = [f"{bend.limit_mm:.2g}" for bend in bends if abs(bend.toward_mm) <= bend.limit_mm]
     if not limits:
         return ""
@@ -97,7 +96,8 @@ def _describe_needle(insertion: Insertion, bend: Bend) -> dict[str, object]:
     entry, tip = insertion.centerline[0], insertion.centerline[-1]
     depths = ", ".join(f"{depth:.1f}" for depth in insertion.boundaries)
     side = "toward" if bend.is_toward else "AWAY" if bend.is_away else "not clear"
-    side = side if insertion.is_posed or insertion.bevel is not None else "(free shape)"
+    if not (insertion.in_tracker_frame or insertion.is_posed or insertion.bevel is not None):
+        side = "(free shape)"
     side = "(turned)" if insertion.turns else side
     sensors = 0 if insertion.curvature is None else len(insertion.curvature)
     counts = {"tip": 1 + sensors, "curvature": sensors}
@@ -111,7 +111,8 @@ def _describe_needle(insertion: Insertion, bend: Bend) -> dict[str, object]:
         "layers": " > ".join(map(str, insertion.sequence)) + (f" at {depths} mm" if depths else ""),
         "bends, from its bevel": side,
     }
-    return dict([*row.items()][:4]) if insertion.in_tracker_frame else row
+    hidden = [*row][4:-1] if insertion.in_tracker_frame else ()  # which no scan has
+    return {name: cell for name, cell in row.items() if name not in hidden}
 
 
 def _format_point(point: Floats) -> str:

@@ -102,6 +102,8 @@ class TableRecord(Record):
 class MappingRecord(FileRecord):
     """`mapping.toml`: how the files of a lab are read."""
 
+    is_draft: bool = False
+    """Whether no import has read by it yet. What it does not state is then assumed or asked."""
     origin: Origin = "measured"
     """Whether the needles were measured or simulated, or are examples."""
     surfaces: tuple[str, ...] = ()

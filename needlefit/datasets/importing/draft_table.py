@@ -11,8 +11,8 @@ from types import MappingProxyType
 from needlefit.datasets.importing.draft import Draft
 from needlefit.datasets.importing.layout import BLOCK
 from needlefit.datasets.importing.meanings import (
-    CURVATURE_AXES,
     MEANINGS,
+    NAMED_BY_LAYER,
     VECTORS,
     Answers,
     Header,
@@ -30,15 +30,7 @@ from needlefit.grouping import group_values
 from needlefit.project.locate import join_names
 
 NO_POINTS = (*VECTORS, "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
-OF_LAYERS = {"boundaries", "layers", "thickness"}  # meanings of columns that state something of layers
-SEVERAL = (
-    *VECTORS,
-    *CURVATURE_AXES,
-    "boundaries",
-    "thickness",
-    "guide",
-    "needle",
-)  # meanings that may have several columns
+OF_LAYERS = {*NAMED_BY_LAYER, "layers"}  # meanings of columns that state something of layers
 EXCLUDED = "excluded"  # the word of rows that are left out
 MAX_FLAGS = 4  # largest number of values of a column that may mark rows to be left out
 
@@ -128,8 +120,9 @@ class TableDraft:
     def take(self, meaning: str, columns: Sequence[Column]) -> None:
         """Let columns mean something, if nothing else does."""
         if columns and meaning not in self.taken:
-            is_one = meaning not in SEVERAL and "column" not in self.draft.columns.get(meaning, {})
-            self.taken[meaning] = [*columns[:1]] if is_one else [*columns]
+            is_stated = "column" in self.draft.columns.get(meaning, {})
+            is_single = MEANINGS[meaning].parts in ("", "points") and not is_stated
+            self.taken[meaning] = [*columns[:1]] if is_single else [*columns]
             self.used |= {column.place for column in self.taken[meaning]}
 
     def _take_known(self) -> None:

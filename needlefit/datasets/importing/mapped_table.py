@@ -15,7 +15,6 @@ from needlefit.datasets.importing.meanings import (
     COORDINATES,
     MEANINGS,
     MISSING,
-    SENSOR_PLACES,
     VECTORS,
     find_meaning,
     list_factors,
@@ -103,8 +102,8 @@ class MappedTable(Table):
         for meaning, record in self.record.columns.items():
             columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
             is_place = meaning in COORDINATES and self.has_points
-            are_several = meaning in SENSOR_PLACES or (is_place and self.record.layout == "wide")
-            values = value.split(";") if are_several else [value]  # of several columns
+            of_places = MEANINGS[meaning].parts in ("points", "sensors")
+            values = value.split(";") if of_places else [value]  # in place of several columns
             pattern = re.compile(record.pattern or "(.*)", re.DOTALL)
             cells[meaning] = [
                 [
@@ -186,7 +185,7 @@ class MappedTable(Table):
             ):
                 continue
             first, text = next(iter(texts.items()))
-            if differ and meaning in ("boundaries", "thickness") and self.record.holds == "facts":
+            if differ and MEANINGS[meaning].parts == "layers" and self.record.holds == "facts":
                 depths = [text for text in texts.values() if self.number(text) != 0]  # of the surface
                 text = "; ".join(depths)  # a row for each layer
             elif differ:

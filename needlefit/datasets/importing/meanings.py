@@ -30,6 +30,9 @@ class Meaning(NamedTuple):
     likely: tuple[float, ...] = ()  # least and greatest number (in `unit`) that is believed without a unit
     choices: tuple[str, ...] = ()  # all values that it may have; none: any
     of_all: bool = False  # no needle has a cell of its own
+    #: what several columns of it are: `names` that are joined, `axes`, `layers`; of places along a needle, in
+    #: one row, the `points` or the `sensors`
+    parts: str = ""
 
 
 class QuestionText(NamedTuple):
@@ -55,10 +58,12 @@ QUESTIONS = MappingProxyType({key: QuestionText(**parts) for key, parts in _FILE
 
 #: what is stated of a needle
 ATTRIBUTES = ("depth", "thickness", *(key for key, meaning in VALUES.items() if not meaning.of_all))
-COORDINATES = ("x", "y", "z", "depth", "deflection", "deflection_z", "guide")  #: in the unit of points
+COORDINATES = (*(key for key, row in ROWS.items() if row.parts == "points"), "guide")
+"""In the unit of points."""
 SENSOR_PLACES = ("sensor_from_base", "sensor")  #: meanings of the places of curvature sensors
 CURVATURE_AXES = ("curvature_y", "curvature_z")  #: whose greatest value is of both
-VECTORS = ("entry_point", "pose")  #: columns x, y, z that state something of each needle
+VECTORS = tuple(key for key, value in VALUES.items() if value.parts == "axes")
+"""Of columns x, y, z that state something of each needle."""
 
 
 FILE = Path(__file__).with_name("synonyms.csv")
@@ -66,7 +71,8 @@ FILE = Path(__file__).with_name("synonyms.csv")
 _PER_M = {unit: 1e3 * factor for unit, factor in UNITS_PER_MM.items()}
 _FACTORS = {"mm": UNITS_MM, "1/mm": UNITS_PER_MM, "1/m": _PER_M, "GPa": UNITS_GPA}
 
-NAMED_BY_LAYER = ("boundaries", "thickness")  # meanings whose columns may be named by their layers
+# meanings whose columns may be named by their layers
+NAMED_BY_LAYER = tuple(key for key, meaning in MEANINGS.items() if meaning.parts == "layers")
 NUMBERED = (*NAMED_BY_LAYER, "deflection")  # meanings whose columns may be numbered
 # What a word beside an axis may mean without being the name of a needle: `needle x`, `depth x`.
 _POINT_WORDS = ("needle", "tip", "depth", "deflection")

@@ -64,6 +64,14 @@ class PreparedImport:
     notes: Pairs = ()  # what was done with the curves
 
 
+class UnreadError(DataError):
+    """What contradicts a mapping that was drafted; `error`: the same without the `mapping`."""
+
+    def __init__(self, error: DataError, mapping: MappingRecord) -> None:
+        super().__init__(**vars(error))
+        self.error, self.mapping = error, mapping
+
+
 #: a question, and why the last answer was refused -> the answer
 Prompt = Callable[[Question, str], str]
 #: what was prepared, and why the last change was refused -> `KEY=VALUE` that changes it; "" takes it
@@ -84,7 +92,8 @@ def prepare_import(
     proposed and may change it. Answers and changes are stated as if by `--set`, and all is prepared again;
     one that is refused is asked for again.
 
-    DataError of what is open and nobody answers, and of what files and mapping contradict.
+    DataError of what is open and nobody answers, and of what files and mapping contradict: UnreadError of a
+    mapping that was drafted.
     """
     stated, taken, problem = [*assignments], len(assignments), ""
     while True:
@@ -115,6 +124,16 @@ def _prepare(paths: Sequence[Path], assignments: Pairs, mapping: Path | None) ->
     else:
         record, unused, where = _load(mapping, assignments), [], str(mapping)
         files = list_different(_list_named(paths))
+    try:
+        return _plan(record, files, where, unused)
+    except DataError as error:
+        if mapping is not None or isinstance(error, UnansweredError):
+            raise
+        raise UnreadError(error, record.model_copy(update={"is_draft": True})) from None
+
+
+def _plan(record: MappingRecord, files: Sequence[Path], where: str, unused: Pairs) -> PreparedImport:
+    """Return what a mapping reads, and the plan of it."""
     content = read_mapped(record, files, where)
     _require_lengths(content, record)
     examples = find_examples(content.curves)
@@ -125,11 +144,12 @@ def _prepare(paths: Sequence[Path], assignments: Pairs, mapping: Path | None) ->
         left_out = "; ".join(content.left_out)
         assumed["missing"] = f"points without a measured coordinate are left out: {left_out}"
     cells = [curve.stated for curve in content.curves]
-    settler = Settler(values, assumed, cells, is_complete=mapping is not None)
+    settler = Settler(values, assumed, cells, is_complete=where != DRAFT and not record.is_draft)
     plan = ImportPlan(content, settler)
     assumed = {key: assumed[key] for key in dict.fromkeys((*DECISIVE, *assumed)) if key in assumed}
     origin = "example" if examples else record.origin
-    record = record.model_copy(update={"values": values, "assumed": assumed, "origin": origin})
+    settled = {"values": values, "assumed": assumed, "origin": origin, "is_draft": False}
+    record = record.model_copy(update=settled)
     if len(examples) < len(content.curves):
         plan.examples = tuple(examples)
     return PreparedImport(record, content, plan, unused, settler.notes)

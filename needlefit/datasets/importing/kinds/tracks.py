@@ -92,6 +92,8 @@ class TrackPlacer(Placer):
             guess = self.settle("bevel", guess, reason, fix).text
         bevel = bends.mean if guess == "bend" else normalize(self.settle("bevel").to_vector())
         along = normalize(self.settle("pose").to_vector()) if self.is_posed else bends.direction
+        if not self.is_posed:
+            self.assumed["direction"] = f"{format_direction(along)}: the direction that fits all runs"
         sideways = bevel - (bevel @ along) * along
         if np.linalg.norm(sideways) < np.sin(np.radians(MIN_BEVEL_DEG)):
             needed = f"at least {MIN_BEVEL_DEG:g} degrees off the insertion, {format_direction(along)}"
