@@ -21,11 +21,10 @@ from numpy.testing import assert_allclose
 from pytest import approx
 from refusals import refusal
 
-from needlefit.datasets.importing.meanings import read_header, translate_side
+from needlefit.datasets.importing.meanings import read_header
 from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.importing.stated import Stated
 from needlefit.datasets.importing.tables import parse_number
-from needlefit.datasets.importing.writing import write_mapping
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import read_toml
 from needlefit.project.unit_warnings import GAUGES_MM
@@ -53,7 +52,7 @@ def test_headers_are_known_in_five_languages():
 @pytest.mark.parametrize(("text", "unit", "angle"), WORDS["bevels"])
 def test_a_bevel_is_understood_or_refused(text, unit, angle):
     """It is never a default."""
-    cell = Stated("bevel_side", translate_side(text, unit), unit.replace("clock", ""), "a.csv:2")
+    cell = Stated("bevel_side", text, unit, "a.csv:2")
     if angle == "none":
         assert refusal(DataError, "bevel_side", cell.to_angle).where == "a.csv:2"
     else:
@@ -303,18 +302,6 @@ def test_an_answer_or_a_change_that_is_refused_is_asked_for_again(tmp_path):
     assert [bool(problem) for problem in refused] == [False, True, False, True, True, True, False]
     assert prepared.plan.needle.outer_diameter_mm == GAUGES_MM[20]
     assert "diameter" not in prepared.mapping.assumed and "modulus" in prepared.mapping.assumed
-
-
-def test_a_draft_that_cannot_be_read_is_corrected_by_hand(tmp_path):
-    file = write_rows(tmp_path / "a.csv", ["xy", *((20 * n, 0.1 * n**2) for n in range(5)), ("lost", 2)])
-    draft = refusal(DataError, "lost", prepare, [file], unit="mm").mapping
-    (table,) = draft.tables
-    table = table.model_copy(update={"missing": ("lost",)})
-    corrected = draft.model_copy(update={"tables": (table,)})
-    write_mapping(tmp_path / "m.toml", corrected)
-    prepared = prepare_import([file], mapping=tmp_path / "m.toml")
-    assert prepared.plan.rows[0].depth == approx(80.0, abs=0.1)
-    assert draft.is_draft and not prepared.mapping.is_draft and "diameter" in prepared.mapping.assumed
 
 
 @pytest.mark.parametrize(("unit", "asked"), [("m", ()), ("", ("diameter.unit=m", "needle_length.unit=m"))])

@@ -367,11 +367,26 @@ def test_bad_input_ends_in_exit_code_3_and_writes_nothing(tmp_path, text, capsys
     assert run("import", tmp_path / "a.csv", "--out", tmp_path / "gel", "--yes") == 3
     assert run("import", tmp_path / "none.xlsx", "--out", tmp_path / "gel", "--yes") == 3
     assert run("import", tmp_path, "--out", tmp_path / "gel", "--yes") == 3
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv"]
+    drafts = ["gel_mapping.toml"] if "4,a,6" in text else []  # whose cell may be corrected
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", *drafts]
     assert "a.csv" in capsys.readouterr().err
     (tmp_path / "dataset.toml").touch()
     for path in (tmp_path, tmp_path / "dataset.toml"):
         assert str(tmp_path / "dataset.toml") in refusal(DataError, "", prepare, [path]).fix
+
+
+def test_a_draft_that_cannot_be_read_is_corrected_by_hand(tmp_path):
+    points = ((20 * n, 0.1 * n**2) for n in range(5))
+    file, draft = write_rows(tmp_path / "a.csv", ["xy", *points, ("lost", 2)]), tmp_path / "lab_mapping.toml"
+    words = ("import", file, "--out", tmp_path / "lab", "--yes")
+    assert run(*words, "--set", "unit=mm") == 3
+    corrected = draft.read_text().replace("[[tables]]", '[[tables]]\nmissing = ["lost"]')
+    draft.write_text(corrected)
+    assert run(*words, "--set", "unit=mm") == 3 and draft.read_text() == corrected
+    assert run(*words, "--mapping", draft) == 0
+    assert read(tmp_path / "lab").insertions[0].depth == pytest.approx(80.0, abs=0.1)
+    mapping = read_toml(tmp_path / "lab/mapping.toml")
+    assert "is_draft" not in mapping and "diameter" in mapping["assumed"]
 
 
 def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path):

@@ -34,11 +34,10 @@ from needlefit.datasets.importing.meanings import (
     Keys,
     Pairs,
     find_meaning,
-    is_side,
     list_bare_numbers,
     read_header,
+    read_side,
     split_unit,
-    translate_side,
 )
 from needlefit.datasets.importing.read import MAX_CURVES, split_names
 from needlefit.datasets.importing.stated import name_set
@@ -225,23 +224,20 @@ def _ask_specimens(draft: Draft, files: Sequence[Path]) -> None:
     if draft.opens or any("specimen" in table["columns"] for table in draft.tables):
         return
     folders = dict.fromkeys(path.absolute().parent.name for path in paths)
-    parts = [draft.names[path].split("/") for path in paths]
-    if 1 < len(outer := dict.fromkeys(first for first, *rest in parts if len(rest) > 1)) < len(paths):
-        listed = join_names([*outer], MAX_NAMED_SPECIMENS)  # each holds a folder for each needle
-        draft.ask("named_specimens", "", word="folder", pattern="(.+?)/.*", names=listed)
-        return
-    if len(folders) > 1:
+    names = [name_stem(path, draft.names[path]) for path in paths]
+    words = dict.fromkeys(re.findall(r"[A-Z]?[a-z]{3,}|[^\W\d_]{3,}", " ".join(names)))
+    patterns = {
+        word: rf".*?({word}[-_ ]?[^\W_]+).*" for word in words if "specimen" in find_meaning("column", word)
+    }
+    if any(name.count("/") > 1 for name in names):  # each folder holds one for each needle
+        patterns = {"folder": "(.+?)/.*"}
+    elif len(folders) > 1:
         draft.ask("specimens", "", names=join_names([*folders], MAX_NAMED_SPECIMENS))
         return
-    stems = [name_stem(path) for path in paths]
-    words = dict.fromkeys(
-        word for stem in stems for word in re.findall(r"[A-Z]?[a-z]{3,}|[^\W\d_]{3,}", stem)
-    )
-    for word in [word for word in words if "specimen" in find_meaning("column", word)]:
-        pattern = rf".*?({word}[-_ ]?[^\W_]+).*"
-        names = dict.fromkeys(match[1] for stem in stems if (match := re.fullmatch(pattern, stem)))
-        if 1 < len(names) < len(stems):
-            listed = join_names([*names], MAX_NAMED_SPECIMENS)
+    for word, pattern in patterns.items():
+        parts = dict.fromkeys(match[1] for name in names if (match := re.fullmatch(pattern, name)))
+        if 1 < len(parts) < len(names):
+            listed = join_names([*parts], MAX_NAMED_SPECIMENS)
             draft.ask("named_specimens", "", word=word, pattern=pattern, names=listed)
 
 
@@ -356,7 +352,9 @@ def _name_unused(columns: TableDraft) -> None:
     """
     for column in columns.list_free():
         texts = {*column.texts}
-        are_sides = len(texts) == 2 and all(translate_side(text, "") != text for text in texts)
+        are_sides = len(texts) == 2 and not any(
+            list_bare_numbers(text) or read_side(text, "") is None for text in texts
+        )
         if are_sides and not column.is_known:
             columns.ask_meaning(column, ["bevel_side", ""], {})
     columns.draft.unused += [
@@ -428,7 +426,7 @@ def _ask_sides(columns: TableDraft, record: Keys, taken: Sequence[Column]) -> No
     """Ask which sides of bevels words or numbers mean that state none by themselves."""
     stated, unit = record.get("words", {}), record.get("unit", "")
     texts = dict.fromkeys(text for column in taken for text in column.texts)
-    if not (unclear := [text for text in texts if text not in stated and not is_side(text, unit)]):
+    if not (unclear := [text for text in texts if text not in stated and read_side(text, unit) is None]):
         return
     answers = dict[str, dict[str, str]]()
     if all(columns.table.number(text) is not None for text in unclear):

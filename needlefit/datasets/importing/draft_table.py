@@ -189,7 +189,10 @@ class TableDraft:
         return meaning.split("|")
 
     def _choose_names(self, proposed: Columns) -> list[Column]:
-        """Return the columns that name needles: the first in which names come again, and what divides it."""
+        """Return the columns that name needles: the first in which names come again, and what divides it.
+
+        Ask whether points of one needle at several depths are of several scans.
+        """
         rows, candidates = self.table.rows, proposed["needle"]
         repeated = [column for column in candidates if len({*column.texts}) < len(column.texts)]
         chosen = [*(repeated or candidates)[:1]]
@@ -198,15 +201,22 @@ class TableDraft:
         ]
         has_points = self.groups or {"y", "deflection"} & (self.taken.keys() | proposed.keys())
         least = 2 if has_points else 1  # rows of a needle: one states facts of it
-        dividing = [(column, least) for column in (*repeated[1:], *specimens[:1])]
-        dividing += [(column, MIN_POINTS) for column in proposed.get("depth", ())]  # scanned on its way
-        for column, size in dividing:
-            counts = [len({tuple(row[part.place] for part in (*chosen, *more)) for row in rows})
-                      for more in ((), (column,))]  # fmt: skip
-            if counts[0] < counts[1] <= len(rows) / size:
-                if column.meaning == "depth" and not specimens:
-                    proposed["specimen"] = chosen[:1]  # further scans of a needle are of its specimen
+
+        def divides(column: Column, size: int) -> bool:
+            names, parts = (
+                {tuple(row[part.place] for part in columns) for row in rows}
+                for columns in (chosen, [*chosen, column])
+            )
+            return len(names) < len(parts) <= len(rows) / size
+
+        for column in (*repeated[1:], *specimens[:1]):
+            if divides(column, least):
                 chosen = [*chosen, column]
+        for depth in proposed.get("depth", ()) if has_points else ():
+            if divides(depth, MIN_POINTS):
+                scans = {"needle": [*chosen, depth]} | ({} if specimens else {"specimen": chosen[:1]})
+                answers = {join_columns(scans["needle"]): name_columns(scans)}
+                self.ask("column", {**answers, join_columns(chosen): _leave(depth.name)}, key="needle")
         if len(chosen) > 1:
             self.draft.assumed["needle"] = f"{join_columns(chosen)}: together they name the needles"
         return chosen

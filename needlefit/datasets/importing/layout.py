@@ -14,9 +14,9 @@ from needlefit.datasets.importing.meanings import (
     VALUES,
     Keys,
     find_meaning,
-    is_side,
     read_header,
     read_quantity,
+    read_side,
 )
 from needlefit.datasets.importing.tables import (
     Table,
@@ -379,7 +379,7 @@ def _read_phrase(phrase: str, subject: str) -> tuple[str, str]:
     name = min(names, key=lambda text: "|" in read_header(text).meaning, default="")
     meaning = read_header(name).meaning
     if meaning == "bevel_side":
-        return (name, value) if is_side(value, "") else ("", "")
+        return (name, value) if read_side(value, "") is not None else ("", "")
     if meaning == "unit":
         return (name, value) if find_meaning("unit", value) in UNITS_MM else ("", "")
     if not meaning or not (sign or unit in UNITS_MM):

@@ -18,7 +18,7 @@ from needlefit.datasets.importing.meanings import (
     VECTORS,
     find_meaning,
     list_factors,
-    read_quantity,
+    scale_unit,
 )
 from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.datasets.importing.tables import Table, name_stem
@@ -127,20 +127,17 @@ class MappedTable(Table):
     def read_factor(self, meaning: str, n: int) -> float:
         """Return by what numbers are multiplied to be in mm or 1/mm."""
         usual = MEANINGS[meaning].unit
-        unit = self.read_unit(meaning, n) or usual
+        unit, sign = self.read_unit(meaning, n) or usual, self.record.columns[meaning].sign
         if unit == "%" and meaning in ACROSS and self.cells["depth"][n]:  # of the depth of the row
-            return self.read_number("depth", n) / 100 * self.record.columns[meaning].sign
-        factors = list_factors(usual)
-        quantity = (1.0, unit) if unit in factors else read_quantity(unit)
-        number, plain = quantity or (1.0, unit)  # `0.07 mm` of a pixel
-        if plain not in factors:
+            return self.read_number("depth", n) / 100 * sign
+        if (factor := scale_unit(unit, usual)) is None:
             raise DataError(
                 f"the unit of {meaning} is {unit!r}",
-                expected=f"{', '.join(factors)}, or the length of a step: 0.07 mm",
+                expected=f"{', '.join(list_factors(usual))}, or the length of a step: 0.07 mm",
                 fix=self.name_edit(f"columns.{meaning}.unit", usual),
                 where=self.place_cell(n, meaning),
             )
-        return number * factors[plain] * self.record.columns[meaning].sign
+        return factor * sign
 
     def read_number(self, meaning: str, n: int, k: int = 0) -> float:
         """Return a cell of a row, that of the column `k`, in mm or 1/mm; DataError if it is no number."""

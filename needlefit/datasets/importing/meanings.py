@@ -76,8 +76,6 @@ NAMED_BY_LAYER = tuple(key for key, meaning in MEANINGS.items() if meaning.parts
 NUMBERED = (*NAMED_BY_LAYER, "deflection")  # meanings whose columns may be numbered
 # What a word beside an axis may mean without being the name of a needle: `needle x`, `depth x`.
 _POINT_WORDS = ("needle", "tip", "depth", "deflection")
-_TRACKER_AXES = {"tx": "x", "ty": "y", "tz": "z"}  # as logs of trackers call them
-_PICTURE_AXES = {"u": "x", "v": "y"}  # of pixels
 _WORD = re.compile(r"[a-z]+|\d+|[^\W\d_a-z]+", re.IGNORECASE)  # Latin and Chinese words part without a blank
 _UMLAUT = re.compile("([aou])e")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
@@ -192,21 +190,21 @@ def read_header(text: str) -> Header:
     if meaning:  # lengths without a unit have that of the coordinates
         known_unit = unit if usual in UNITS_MM or find_meaning("unit", unit) else ""
         return Header(text, meaning, unit=known_unit or ("" if usual in UNITS_MM else usual))
-    names = _TRACKER_AXES | (_PICTURE_AXES if unit == "px" else {})
-    words = [names.get(word, word) for word in words]
-    axes = [word for word in words if word in [*"xyz"]]
+    axes = [(word, *_look_up("axis", [word])) for word in words]
+    axes = [(word, axis, usual) for word, axis, usual in axes if axis and usual in ("", unit)]
     named = {_look_up("column", [word])[0] for word in words}
     if "quaternion" in named or ("bevel_side" in named and {*"xyzw"} & {*words}):
         return Header(text, "quaternion", unit=unit)  # `poses[3]/orientation/x`, `Rotation X`
     if len(axes) != 1:
         return Header(text, unit=unit)
-    rest = [word for word in words if word != axes[0] and not find_meaning("filler", word)]
+    ((letter, axis, _),) = axes
+    rest = [word for word in words if word != letter and not find_meaning("filler", word)]
     beside = _look_up("column", rest)[0] if rest else ""
     beside_axis = re.sub(
-        rf"(?<![a-z])t?{axes[0]}(?![a-z])", " ", _CAMEL.sub(" ", plain), count=1, flags=re.IGNORECASE
+        rf"(?<![a-z]){letter}(?![a-z])", " ", _CAMEL.sub(" ", plain), count=1, flags=re.IGNORECASE
     )
     group = "" if beside in _POINT_WORDS or not rest else beside or beside_axis.strip(" _-.:#")
-    return Header(text, "", axes[0], group, unit, beside)
+    return Header(text, "", axis, group, unit, beside)
 
 
 def name_axes(headers: Sequence[Header]) -> tuple[list[Header], dict[str, int]]:
@@ -225,25 +223,31 @@ def name_axes(headers: Sequence[Header]) -> tuple[list[Header], dict[str, int]]:
     return [*headers], {}
 
 
-def translate_side(text: str, unit: str) -> str:
-    """Return where a bevel faces in degrees, of a word or a clock position; any other text as it is."""
+def read_side(text: str, unit: str) -> float | None:
+    """Return where a bevel faces, degrees: 1 is 0, -1 is 180, a word or a clock position; None if nowhere."""
     text = {"+": "1", "-": "-1"}.get(text, text)
-    if (word := find_meaning("value", text)).endswith(" deg"):
-        return word
-    value, unit_of_text = read_quantity(text) or (0.0, "")
-    is_clock = (unit_of_text or unit) == "clock" and 0 < value <= 12
-    return f"{30 * (value % 12):g} deg" if is_clock else text
-
-
-def is_side(text: str, unit: str) -> bool:
-    """Whether a text states a side of a bevel: 1 or -1, degrees, a clock position, or a word for one."""
-    value, unit_of_text = read_quantity(translate_side(text, unit)) or (0.0, "")
-    return (unit_of_text or unit) == "deg" or (value in (1.0, -1.0) and not unit_of_text)
+    value, unit_of_text = read_quantity(find_meaning("value", text) or text) or (0.0, "")
+    unit = unit_of_text or unit
+    if unit == "clock" and 0 < value <= 12:
+        return 30.0 * (value % 12)
+    if value in (1.0, -1.0) and not unit:
+        return 90.0 - 90.0 * value
+    return value if unit == "deg" and abs(value) <= 360.0 else None
 
 
 def list_factors(unit: str) -> Mapping[str, float]:
     """Return by what numbers in each unit are multiplied, to be in a unit."""
     return _FACTORS.get(unit, {unit: 1.0})
+
+
+def scale_unit(text: str, unit: str) -> float | None:
+    """Return by what numbers in a unit, or of steps such as `0.07 mm`, are multiplied to be in another one.
+
+    None if it is no unit of this kind.
+    """
+    factors = list_factors(unit)
+    number, plain = (1.0, text) if text in factors else read_quantity(text) or (1.0, text)
+    return number * factors[plain] if plain in factors else None
 
 
 def list_bare_numbers(text: str) -> list[float]:

@@ -69,7 +69,7 @@ class UnreadError(DataError):
 
     def __init__(self, error: DataError, mapping: MappingRecord) -> None:
         super().__init__(**vars(error))
-        self.error, self.mapping = error, mapping
+        self.error, self.mapping = error, mapping.model_copy(update={"is_draft": True})
 
 
 #: a question, and why the last answer was refused -> the answer
@@ -129,7 +129,7 @@ def _prepare(paths: Sequence[Path], assignments: Pairs, mapping: Path | None) ->
     except DataError as error:
         if mapping is not None or isinstance(error, UnansweredError):
             raise
-        raise UnreadError(error, record.model_copy(update={"is_draft": True})) from None
+        raise UnreadError(error, record) from None
 
 
 def _plan(record: MappingRecord, files: Sequence[Path], where: str, unused: Pairs) -> PreparedImport:
@@ -174,7 +174,10 @@ def complete_draft(paths: Sequence[Path], assignments: Pairs) -> tuple[Draft, li
     """Return a draft and its files; UnansweredError if it leaves something open."""
     draft, files = draft_mapping(paths, assignments)
     if not draft.opens:
-        _settle_units(draft, files)
+        try:
+            _settle_units(draft, files)
+        except DataError as error:
+            raise UnreadError(error, draft.to_record(DRAFT)) from None
     texts = " ".join([*(text for text, _ in draft.unused), *set().union(*draft.needles.values())])
     gauges = {f"{number}G" for number in _GAUGE.findall(texts.replace("_", " "))}
     if gauges and not any(

@@ -14,13 +14,14 @@ from needlefit.datasets.importing.meanings import (
     QUESTIONS,
     VALUES,
     Answers,
+    list_bare_numbers,
     list_factors,
     read_quantity,
-    translate_side,
+    read_side,
+    scale_unit,
 )
 from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError
-from needlefit.project.units import UNITS_MM
 
 
 @dataclass(frozen=True)
@@ -37,14 +38,12 @@ class Stated:
         """Return the number of at least 0, or above 0, in the unit of its key; DataError if it is none."""
         unit = (VALUES.get(self.key) or MEANINGS[self.key]).unit
         value, own_unit = read_quantity(self.text) or (-1.0, "")
-        own_unit = own_unit or self.unit or unit
-        factors = list_factors(unit)
-        factor = factors.get(own_unit, 0.0)
+        factor = scale_unit(own_unit or self.unit or unit, unit) or 0.0
         if not 0 <= value * factor <= MAX_COORDINATE or not factor or (is_above and not value):
             expected = (
                 f"a number {'above 0' if is_above else 'of 0 or more'}, at most {MAX_COORDINATE:g}, {unit}"
             )
-            if others := [other for other in factors if other != unit]:
+            if others := [other for other in list_factors(unit) if other != unit]:
                 expected += f", or with its unit: {', '.join(others)}"
             raise self.error(expected)
         return value * factor
@@ -54,8 +53,7 @@ class Stated:
         axis = re.fullmatch("([+-]?)([xyz])", self.text.strip().lower())
         text = self.text if axis is None else ",".join(f"{axis[1]}{int(name == axis[2])}" for name in "xyz")
         is_place = self.key == "entry_point"
-        number, unit = read_quantity(self.unit) or (1.0, self.unit or "mm")  # `0.08 mm` of a pixel
-        factor = number * UNITS_MM.get(unit, np.nan) if is_place else 1.0
+        factor = (scale_unit(self.unit or "mm", "mm") or np.nan) if is_place else 1.0
         try:
             vector = factor * np.array([float(part) for part in re.split("[,;]", text)])
         except ValueError:
@@ -92,16 +90,13 @@ class Stated:
 
         1 is 0 degrees, -1 is 180. DataError if the cell is not understood.
         """
-        value, own_unit = read_quantity(translate_side(self.text, self.unit)) or (float("nan"), "")
-        unit = own_unit or self.unit
-        if value in (1.0, -1.0) and not unit:
-            return 90.0 - 90.0 * value
+        if (value := read_side(self.text, self.unit)) is None:
+            raise self.error("1 or -1, or degrees: 90 deg")
         turn = round(np.degrees(value) / 45.0) if 0.5 < abs(value) < 6.3 else 0  # in eighths, were it rad
-        if unit == "deg" and not own_unit and turn and abs(np.degrees(value) - 45.0 * turn) < 0.5:
+        is_bare = self.unit == "deg" and list_bare_numbers(self.text)
+        if is_bare and turn and abs(np.degrees(value) - 45.0 * turn) < 0.5:
             raise self.error(f"degrees; in radians it would be {np.degrees(value):.4g}")
-        if unit == "deg" and abs(value) <= 360.0:
-            return value
-        raise self.error("1 or -1, or degrees: 90 deg")
+        return value
 
     def error(self, expected: str, fix: str = "") -> DataError:
         """Return the error of a cell that is not understood."""

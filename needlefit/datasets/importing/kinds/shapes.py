@@ -453,11 +453,12 @@ def propose_shapes(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
 
 
 def _ask_columns(draft: TableDraft) -> None:
-    """Ask which are the coordinates of a table without headers, or of several needles beside one x.
+    """Ask which are the coordinates of a table without headers, or of several needles beside one x or depth.
 
     Headers that are lengths may be places along the needles, one needle a row.
     """
     free, along = draft.list_unknown(), [column for column in draft.all if column.axis == "x"]
+    is_depth = "depth" in draft.taken and "needle" not in draft.taken
     quantities = [(column, *(read_quantity(column.text) or (0.0, ""))) for column in free]
     placed = [(column, value * UNITS_MM[unit]) for column, value, unit in quantities if unit in UNITS_MM]
     if len(placed) >= MIN_POINTS:
@@ -469,9 +470,10 @@ def _ask_columns(draft: TableDraft) -> None:
         axes = name_columns({axis: [column] for axis, column in zip("xyz", free, strict=False)})
         shown = ", ".join("xyz"[: len(free)])
         draft.ask("headers", {shown: axes}, axes=shown)
-    elif len(along) == 1 and free:
-        keys = [name_columns({"x": along, "y": across}) for across in (*([column] for column in free), free)]
-        draft.ask("column", {stated["y.column"]: stated for stated in keys}, key="y")
+    elif (len(along) == 1 and free) or (is_depth and len(free) > 1):
+        key, beside = ("y", {"x": along}) if len(along) == 1 else ("deflection", {})
+        keys = [name_columns({**beside, key: across}) for across in (*([column] for column in free), free)]
+        draft.ask("column", {stated[f"{key}.column"]: stated for stated in keys}, key=key)
 
 
 def _is_array(draft: TableDraft) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft, name_columns
+from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
 from needlefit.datasets.importing.kinds import (
     CurveAnswers,
     ImportedCurve,
@@ -170,14 +170,9 @@ def place_tips(asked: CurveAnswers) -> None:
 
 
 def propose_tips(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
-    """Return the columns of deflections at depths, or of places with a name for each row; ask for one."""
+    """Return the columns of deflections at depths, or of places with a name for each row."""
     taken, points = draft.taken, draft.points
-    if not points:
-        if "depth" in taken and "needle" not in taken and len(unknown := draft.list_unknown()) > 1:
-            joined = name_columns({"deflection": unknown})
-            draft.ask_column("deflection", unknown, {joined["deflection.column"]: joined})
-        return {}
-    if is_stated or draft.are_deflections:
+    if not points or is_stated or draft.are_deflections:
         return points
     if not draft.names_rows:
         return {}
