@@ -1,6 +1,7 @@
 """Propose what the columns of one table mean, and what its rows are; what is not sure is a question."""
 
 import json
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from needlefit.datasets.importing.meanings import (
     is_bore,
     name_axes,
     read_header,
+    read_quantity,
     split_unit,
 )
 from needlefit.datasets.importing.tables import Table
@@ -28,10 +30,12 @@ from needlefit.datasets.observations.tip_track import MIN_READINGS
 from needlefit.datasets.points import MIN_POINTS
 from needlefit.grouping import group_values
 from needlefit.project.locate import join_names
+from needlefit.project.units import UNITS_MM
 
 NO_POINTS = (*VECTORS, "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
 OF_LAYERS = {*NAMED_BY_LAYER, "layers"}  # meanings of columns that state something of layers
 EXCLUDED = "excluded"  # the word of rows that are left out
+_LENGTH = re.compile(r"\d+(?:[.,]\d+)?\s*(?:mm|cm)\b")  # in a header
 MAX_FLAGS = 4  # largest number of values of a column that may mark rows to be left out
 
 
@@ -48,6 +52,12 @@ class Column(Header):
     def is_curvature(self) -> bool:
         """Whether its unit is that of a curvature."""
         return self.unit.startswith("1/")
+
+    @property
+    def along_mm(self) -> float | None:
+        """The place along a needle that its header states: 10 of `kappa @ 10 mm`."""
+        quantity = read_quantity(match[0]) if (match := _LENGTH.search(self.text)) else None
+        return None if quantity is None else quantity[0] * UNITS_MM[quantity[1]]
 
 
 Columns = dict[str, list[Column]]  # by meaning
@@ -212,11 +222,10 @@ class TableDraft:
         for column in (*repeated[1:], *specimens[:1]):
             if divides(column, least):
                 chosen = [*chosen, column]
-        for depth in proposed.get("depth", ()) if has_points else ():
+        for depth in proposed.get("depth", ()) if self.keys.get("holds") != "tracks" else ():
             if divides(depth, MIN_POINTS):
                 scans = {"needle": [*chosen, depth]} | ({} if specimens else {"specimen": chosen[:1]})
-                answers = {join_columns(scans["needle"]): name_columns(scans)}
-                self.ask("column", {**answers, join_columns(chosen): _leave(depth.name)}, key="needle")
+                self.ask("column", {join_columns(scans["needle"]): name_columns(scans)}, key="needle")
         if len(chosen) > 1:
             self.draft.assumed["needle"] = f"{join_columns(chosen)}: together they name the needles"
         return chosen

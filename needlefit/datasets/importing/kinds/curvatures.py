@@ -6,17 +6,15 @@ from itertools import product
 
 import numpy as np
 
-from needlefit.datasets.importing.draft_table import Column, Columns, Records, TableDraft
+from needlefit.datasets.importing.draft_table import Column, Columns, Records, TableDraft, join_columns
 from needlefit.datasets.importing.kinds import ImportedCurve, RowKind
 from needlefit.datasets.importing.kinds.facts import read_stated
 from needlefit.datasets.importing.kinds.tips import TipPlacer
 from needlefit.datasets.importing.mapped_table import MappedTable
-from needlefit.datasets.importing.meanings import CURVATURE_AXES, SENSOR_PLACES, read_quantity
+from needlefit.datasets.importing.meanings import CURVATURE_AXES, SENSOR_PLACES
 from needlefit.errors import DataError
 from needlefit.grouping import group_values
-from needlefit.project.units import UNITS_MM
 
-_PLACE = re.compile(r"\d+(?:[.,]\d+)?\s*(?:mm|cm)\b")  # of a sensor, in the header of its curvature
 # In the header of a curvature toward z, or in the plane xz.
 _SIDEWAYS = re.compile(r"(?<![a-z])x?z(?![a-z])", re.IGNORECASE)
 
@@ -74,19 +72,13 @@ def _take_wide(draft: TableDraft, columns: Sequence[Column]) -> bool:
     if len(columns) <= len(CURVATURE_AXES) and not is_stated:
         return False
     planes = group_values((CURVATURE_AXES[bool(_SIDEWAYS.search(column.text))], column) for column in columns)
-    places = {
-        tuple(place[0] if (place := _PLACE.search(column.text)) else "" for column in of_plane)
-        for of_plane in planes.values()
-    }
+    places = {tuple(column.along_mm for column in of_plane) for of_plane in planes.values()}
     for axis, of_plane in planes.items():
         draft.take(axis, of_plane)
-    quantities = [read_quantity(text) for text in next(iter(places), ())]
-    is_clear = len(places) == 1 and None not in quantities and not is_stated
-    if is_clear:
-        numbers = [f"{value * UNITS_MM[unit]:g}" for value, unit in filter(None, quantities)]
-        names = ", ".join(str(column.name) for column in columns)
-        draft.ask("sensors", names=names, places=";".join(numbers))
-    return is_clear
+    if len(places) != 1 or is_stated or None in (sensors := places.pop()):
+        return False
+    draft.ask("sensors", names=join_columns(columns), places=";".join(f"{place:g}" for place in sensors))
+    return True
 
 
 def complete_curvatures(draft: TableDraft, records: Records) -> None:

@@ -29,7 +29,7 @@ from needlefit.datasets.importing.kinds import (
 )
 from needlefit.datasets.importing.kinds.tips import TIPS, add_tips
 from needlefit.datasets.importing.mapped_table import MappedTable
-from needlefit.datasets.importing.meanings import INDEX, find_meaning, read_quantity
+from needlefit.datasets.importing.meanings import INDEX, find_meaning
 from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.datasets.layers import (
     MAX_HEADING_DEG,
@@ -459,12 +459,10 @@ def _ask_columns(draft: TableDraft) -> None:
     """
     free, along = draft.list_unknown(), [column for column in draft.all if column.axis == "x"]
     is_depth = "depth" in draft.taken and "needle" not in draft.taken
-    quantities = [(column, *(read_quantity(column.text) or (0.0, ""))) for column in free]
-    placed = [(column, value * UNITS_MM[unit]) for column, value, unit in quantities if unit in UNITS_MM]
+    placed = [column for column in free if column.along_mm is not None]
     if len(placed) >= MIN_POINTS:
-        columns, places = zip(*placed, strict=True)
-        text = ";".join(f"{place:g}" for place in places)
-        answer = {"layout": "wide", "x.value": text, **name_columns({"y": columns})}
+        text = ";".join(f"{column.along_mm:g}" for column in placed)
+        answer = {"layout": "wide", "x.value": text, **name_columns({"y": placed})}
         draft.ask("places", {"yes": answer}, places=text)
     elif not any(draft.table.headers) and len(free) in (2, 3):
         axes = name_columns({axis: [column] for axis, column in zip("xyz", free, strict=False)})
