@@ -4,7 +4,6 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import permutations
 
 import numpy as np
 
@@ -128,17 +127,12 @@ class ShapePlacer(Placer):
         }
         off = [curve for curve, angle in angles.items() if angle > MAX_HEADING_DEG]
         if off:
-            angle, pose, chord = angles[off[0]], poses[off[0]], to_unit(off[0].chord)
-            direction, fix = normalize(pose.to_vector()), f"look at {list_places(off)}"
-            order = max(permutations(range(3)), key=lambda axes: direction @ chord[[*axes]])
-            if direction @ chord[[*order]] >= np.cos(np.radians(MAX_HEADING_DEG)):
-                fix += f": columns seem to be {', '.join('xyz'[axis] for axis in order)}"
-            is_few = 2 * len(off) <= len(poses)
+            angle, pose, fix = angles[off[0]], poses[off[0]], f"look at {list_places(off)}"
             fixes = [f"state {name_set('pose', along)}", fix]
             if angle > 180.0 - MAX_HEADING_DEG:  # stages are known better than the order in files
                 fixes = [f"state {name_set('entry', OTHER_END[self.entry])}", fixes[0]]
                 fix = advise_order(off)
-            fix = fix if is_few else "; or ".join(fixes)
+            fix = fix if 2 * len(off) <= len(poses) else "; or ".join(fixes)
             needed = f"at most {MAX_HEADING_DEG:g} degrees off the needles, {along}; {list_names(off)} runs "
             raise pose.error(f"{needed}{angle:.0f} degrees off it", fix)
         return poses
