@@ -130,12 +130,13 @@ def import_data(
     try:
         prepared = prepare_import(files, assignments, mapping, prompt, review)
     except UnreadError as error:
-        draft = out.with_name(f"{out.name}_mapping.toml")
+        draft = out.resolve().with_name(f"{out.resolve().name}_mapping.toml")
         if draft.exists():  # it may have been corrected
             raise error.error from None
         with replace_file(draft) as fresh:
             write_mapping(fresh, error.mapping)
-        raise error.error.replace(fix=f"{error.fix}; or correct {draft}, and add --mapping {draft}") from None
+        name = shlex.quote(format_path(draft))
+        raise error.error.replace(fix=f"{error.fix}; or correct {name}, and add --mapping {name}") from None
     dataset = write_import(out, prepared, overwrite)
     needles = tabulate_needles(dataset)
     if invocation.json:

@@ -229,7 +229,8 @@ def _ask_specimens(draft: Draft, files: Sequence[Path]) -> None:
     patterns = {
         word: rf".*?({word}[-_ ]?[^\W_]+).*" for word in words if "specimen" in find_meaning("column", word)
     }
-    if any(name.count("/") > 1 for name in names):  # each folder holds one for each needle
+    outer = {name.partition("/")[0] for name in names if name.count("/") > 1}
+    if 1 < len(outer) < len(names):  # each holds a folder for each needle
         patterns = {"folder": "(.+?)/.*"}
     elif len(folders) > 1:
         draft.ask("specimens", "", names=join_names([*folders], MAX_NAMED_SPECIMENS))

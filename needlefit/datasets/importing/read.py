@@ -18,6 +18,7 @@ from needlefit.datasets.formats.markups import read_plane
 from needlefit.datasets.importing.kinds import KINDS, ImportedCurve, list_kinds
 from needlefit.datasets.importing.layout import lay_out
 from needlefit.datasets.importing.mapped_table import MappedTable
+from needlefit.datasets.importing.meanings import MEANINGS
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
@@ -173,6 +174,13 @@ def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> It
             replace(table, file=names[path]) for path in matching for table in _read_tables(path, record)
         ]
         has_points = KINDS[record.holds].has_points
+        if unknown := [meaning for meaning in record.columns if meaning not in MEANINGS]:
+            raise DataError(
+                f"tables.{number} states columns of {join_names(unknown, MAX_LISTED_NAMES)}",
+                expected="meanings: needlefit explain mapping",
+                fix=f"did you mean {sort_by_similarity(unknown[0], [*MEANINGS])[0]}",
+                where=where,
+            )
         for table in tables:
             yield MappedTable(**vars(table), record=record, entry=number, has_points=has_points)
         if not tables:
