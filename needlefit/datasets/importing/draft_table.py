@@ -212,18 +212,14 @@ class TableDraft:
         has_points = self.groups or {"y", "deflection"} & (self.taken.keys() | proposed.keys())
         least = 2 if has_points else 1  # rows of a needle: one states facts of it
 
-        def divides(column: Column, size: int) -> bool:
-            names, parts = (
-                {tuple(row[part.place] for part in columns) for row in rows}
-                for columns in (chosen, [*chosen, column])
-            )
-            return len(names) < len(parts) <= len(rows) / size
+        def count_names(*more: Column) -> int:
+            return len({tuple(row[column.place] for column in (*chosen, *more)) for row in rows})
 
         for column in (*repeated[1:], *specimens[:1]):
-            if divides(column, least):
+            if count_names() < count_names(column) <= len(rows) / least:
                 chosen = [*chosen, column]
         for depth in proposed.get("depth", ()) if self.keys.get("holds") != "tracks" else ():
-            if divides(depth, MIN_POINTS):
+            if count_names() < count_names(depth) <= len(rows) / MIN_POINTS:
                 scans = {"needle": [*chosen, depth]} | ({} if specimens else {"specimen": chosen[:1]})
                 self.ask("column", {join_columns(scans["needle"]): name_columns(scans)}, key="needle")
         if len(chosen) > 1:
