@@ -15,7 +15,7 @@ from refusals import refused_file
 from scanner.write import write_volume
 
 from needlefit.errors import DataError
-from needlefit.imaging.volume import Volume, doubt_air, to_index, to_patient
+from needlefit.imaging.volume import Volume, doubt_air, explain_refusal, to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
 
 pytestmark = pytest.mark.usefixtures("read_here")
@@ -184,7 +184,7 @@ def test_a_file_cut_short(tmp_path, name):
     write_volume(volume_of(values), path)
     path.write_bytes(path.read_bytes()[: int(0.9 * path.stat().st_size)])
     fault = refused(path)
-    assert "not all there" in fault.what and "cut short" in fault.fix
+    assert "not all there" in fault.what and "cut short" in fault.fix and "Reason" not in fault.what
 
 
 def test_a_header_with_detached_voxels_and_non_finite_values(tmp_path):
@@ -197,7 +197,7 @@ def test_a_header_with_detached_voxels_and_non_finite_values(tmp_path):
     values = VALUES.astype(np.float32)
     values[0, 0, :2] = np.nan, np.inf
     fault = refused(nrrd(tmp_path / "a.nrrd", values, type="float"))
-    assert "holds 2 voxels" in fault.what and "air" in fault.fix
+    assert "1 of 24 voxels" in fault.what and "= 1, 0, 0" in fault.what and "air" in fault.fix
 
 
 @pytest.mark.parametrize(("shift", "filled"), [(-5.0, -1000.0), (0.0, 0.0), (-2000.0, -2000.0)])
@@ -210,7 +210,8 @@ def test_voxels_without_a_value_are_air_where_values_are_hounsfield_units(tmp_pa
     ):
         volume = read_volume(path)
         assert np.array_equal(volume.values, np.where(np.isnan(values), filled, values))
-        assert len(volume.warnings) == 1 and "2 voxels" in volume.warnings[0]
+        (warning,) = volume.warnings
+        assert "2 of 24 voxels (8.3 %)" in warning and "= 1, 0, 0 (" in warning
 
 
 TILT = np.radians(12.0)
@@ -283,7 +284,11 @@ def test_the_level_of_air_is_that_of_hounsfield_units(air, soft, padding, is_dou
     if padding is not None:
         values[:, :4] = padding
         values = np.maximum(values, padding)
-    assert bool([*doubt_air(volume_of(values))]) == is_doubted
+    volume = volume_of(values)
+    assert bool([*doubt_air(volume)]) == is_doubted
+    refusal = explain_refusal(DataError("no needle", where="a.nrrd"), volume)
+    assert refusal.where == "a.nrrd" and refusal.what.startswith("no needle") != is_doubted
+    assert "16 x 20 x 7.2 mm" in refusal.what and f"{values.min():.5g} to {values.max():.5g}" in refusal.what
 
 
 @pytest.mark.parametrize(

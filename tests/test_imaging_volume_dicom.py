@@ -204,7 +204,8 @@ PADDED = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) 
         ),
         (series(**OVERVIEW), "is a localizer", "000.dcm", "series"),
         (turned_slices(np.radians(40.0), [0, 0, 5]), "not perpendicular", "", "resample"),
-        (spoilt(2, ImagePositionPatient=[-9.0, 20.0, 31.8]), "0 of 5 steps", "002.dcm", ""),
+        (spoilt(2, ImagePositionPatient=[-9.0, 20.0, 31.8]), "0.9 mm behind 001.dcm and 1 mm", "002.dcm", ""),
+        (spoilt(3, ImagePositionPatient=[-10.0, 20.0, 32.5]), "0.7 mm behind 002.dcm", "003.dcm", ""),
         (
             spoilt(4, ImageOrientationPatient=[1, 0, 0, 0, 0.9998, 0.02]),
             "ImageOrientationPatient is",

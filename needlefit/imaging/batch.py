@@ -22,6 +22,7 @@ from needlefit.imaging.needle.segmentation import list_needles
 from needlefit.imaging.reconstruct import STAGES, VolumeSearch, examine, picture_curve
 from needlefit.imaging.reconstruction import CurvePicture, Reconstruction, render_views
 from needlefit.imaging.scans import Scan
+from needlefit.imaging.volume import explain_refusal
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
 from needlefit.project.processes import one_thread
@@ -153,6 +154,7 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan, report: Callable[[str]
         moved = [name for name, places in vars(scan.corrections).items() if places is not None]
         return replace(one, warnings=(f"corrected by hand: {', '.join(moved)}", *one.warnings))
     failed = found.error or NeedlefitError("nothing was found", where=scan.volume)
+    failed = explain_refusal(failed, search.volume)
     needle = None if found.needle_axis is None else found.needle_axis.points
     if needle is None and found.selection is not None:  # about where it is
         axis = found.selection.axis or follow_tube(search.volume, found.selection.needle, search.recipe)

@@ -300,24 +300,28 @@ def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats)
     By least squares: rounding of single positions must not add up over the stack. `positions` (K, 3) are in
     their order along the `normal`.
     """
-    steps, count = np.diff(positions @ normal), np.arange(len(ordered))
-    usual = float(np.quantile(steps, 0.75))  # of several slices at each place most steps are 0
+    count, rises = np.arange(len(ordered)), np.diff(positions, axis=0)
+    steps = rises @ normal
     step, origin = np.polyfit(count, positions, 1)
     away = np.linalg.norm(origin + np.outer(count, step) - positions, axis=1)
-    odd = np.flatnonzero((steps < SPACINGS_MM[0]) | (steps > 1.5 * usual))
-    if len(odd) or away.max() > MAX_OFFSET_MM:
-        n = int(odd[0]) if len(odd) else max(int(away.argmax()), 1) - 1
-        raise DataError(
-            f"{ordered[n + 1].file.name} stands {steps[n]:.4g} mm behind {ordered[n].file.name}, where "
-            f"{usual:.4g} mm are usual; {len(odd)} of {len(steps)} steps are of other lengths, and slices "
-            f"stand up to {away.max():.3g} mm from their places",
-            expected=f"an even stack, to {MAX_OFFSET_MM:g} mm, one slice at each place, straight above each "
-            "other or all leaning alike",
-            fix="copy missing files; move copies and other scans (phases, kernels) to other folders; "
-            f"{EXPORT_FIX}",
-            where=ordered[n + 1].file,
-        )
-    return origin, step
+    if (steps >= SPACINGS_MM[0]).all() and away.max() <= MAX_OFFSET_MM:
+        return origin, step
+    lengths = np.column_stack([steps, np.linalg.norm(rises - np.outer(steps, normal), axis=1)])
+    apart = lengths[steps >= SPACINGS_MM[0]]  # of several slices at each place most steps are 0
+    usual = np.median(apart if len(apart) else lengths, axis=0)
+    odd = (np.abs(lengths - usual) > MAX_OFFSET_MM).any(axis=1)
+    n = int((odd if odd.any() else away[1:]).argmax())
+    (behind, beside), (step_mm, lean_mm) = lengths[n], usual
+    raise DataError(
+        f"{ordered[n + 1].file.name} stands {behind:.4g} mm behind {ordered[n].file.name} and "
+        f"{beside:.3g} mm beside it, where {step_mm:.4g} and {lean_mm:.3g} mm are usual; {odd.sum()} of "
+        f"{len(odd)} steps differ, and one slice stands {away.max():.3g} mm from its place in an even stack",
+        expected=f"an even stack, to {MAX_OFFSET_MM:g} mm, one slice at each place, straight above each "
+        "other or all leaning alike",
+        fix="copy missing files; move copies and other scans (phases, kernels) to other folders; "
+        f"{EXPORT_FIX}",
+        where=ordered[n + 1].file,
+    )
 
 
 def _read_plane(item: DicomSlice) -> NDArray[np.float64]:

@@ -37,7 +37,7 @@ def read_image(arrays: Arrays, path: str, labels: bool = False) -> dict[str, Any
     system it stands, or claims an absurd size.
     """
     with located(path):
-        file, notes = Path(path), list[str]()
+        file = Path(path)
         is_itk = file.suffix.lower() in IMAGE_IOS
         try:
             read, grid, voxel_bytes, texts = _open_itk(file) if is_itk else _open_nifti(file)
@@ -61,7 +61,7 @@ def read_image(arrays: Arrays, path: str, labels: bool = False) -> dict[str, Any
                 expected="all voxels that the header promises, in this file or the one that it names",
                 fix="the file is cut short or damaged: copy it or export it again",
             ) from error
-        fill_unknown(values, notes, labels=labels)
+        notes = fill_unknown(values, grid, labels=labels)
         arrays["values"] = values.view(Planes)
         arrays |= grid.placing | {"direction": orthogonalize(grid.direction)}
         return {"texts": texts, "warnings": notes}
@@ -135,4 +135,5 @@ def _check_voxels(shape: Sequence[int], are_numbers: bool) -> None:
 
 def _last_line(error: Exception) -> str:
     """Return the last line of an error, which names the cause, without addresses of memory."""
-    return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", str(error).strip().splitlines()[-1] or "cut short")[:200]
+    lines = [line for line in str(error).strip().splitlines() if not line.startswith("Reason: ")]  # of errno
+    return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", [*lines, "cut short"][max(len(lines) - 1, 0)])[:200]

@@ -14,7 +14,7 @@ from scipy.linalg import polar
 from scipy.ndimage import map_coordinates
 
 from needlefit.arrays import Floats, Ints, are_bounded
-from needlefit.errors import DataError
+from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.frames import to_unit
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.constants import HU, PART
@@ -96,29 +96,34 @@ def is_tilted(direction: Floats) -> bool:
     return bool((np.abs(direction[:, :2].T @ direction[:, 2]) > AXES_COSINE_TOLERANCE).any())
 
 
-def fill_unknown(values: NDArray[Any], notes: list[str], *, labels: bool) -> None:
-    """Give voxels without a value (NaN) that of air, or of `labels` 0; note how many they were.
+def fill_unknown(values: NDArray[Any], grid: VoxelGrid, *, labels: bool) -> list[str]:
+    """Give voxels without a value (NaN) that of air, or of `labels` 0; return a note of how many, and where.
 
     DataError if no voxel has a value, or one is infinite.
     """
     if np.isfinite([values.min(), values.max()]).all():
-        return
+        return []
     unknown = np.isnan(values)
-    known = values[~unknown]
-    if not known.size or not np.isfinite([known.min(), known.max()]).all():
+    infinite = ~np.isfinite(values) & ~unknown
+    wrong = infinite if infinite.any() else unknown
+    count, first = np.count_nonzero(wrong), np.unravel_index(int(wrong.argmax()), values.shape)[::-1]
+    place = ", ".join(f"{x:.1f}" for x in to_patient(grid, [first])[0])
+    kind = "an infinite value" if infinite.any() else "no value (NaN)"
+    seen = (
+        f"{count} of {values.size} voxels ({100 * count / values.size:.2g} %) have {kind}, the first at "
+        f"i, j, k = {', '.join(map(str, first))} (L, P, S = {place} mm)"
+    )
+    if infinite.any() or unknown.all():
         raise DataError(
-            f"holds {np.count_nonzero(~np.isfinite(values))} voxels that are no finite number",
+            seen,
             expected="a number in every voxel",
             fix="give voxels outside the scan the value of air, e.g. -1000",
         )
     # values that are nowhere below 0 are no HU, nor is then -1000
-    filled = 0.0 if labels else min(HU.AIR if known.min() < 0 else np.inf, float(known.min()))
+    low = float(np.nanmin(values))
+    filled = 0.0 if labels else min(HU.AIR if low < 0 else np.inf, low)
     values[unknown] = filled
-    part = 100 * len(values[unknown]) / values.size
-    notes.append(
-        f"{np.count_nonzero(unknown)} voxels of the file ({part:.1f} %) have no value (NaN): they were taken "
-        f"for {'no label' if labels else f'air, {filled:g} HU'}"
-    )
+    return [f"{seen}: they were taken for {'no label' if labels else f'air, {filled:g} HU'}"]
 
 
 def orthogonalize(direction: Floats) -> Floats:
@@ -238,7 +243,7 @@ def turn_slices(volume: Volume) -> Volume:
     return replace(volume, values=values, spacing=volume.spacing[order], direction=volume.direction[:, order])
 
 
-def to_patient(volume: Volume, ijk: ArrayLike) -> Floats:
+def to_patient(volume: Volume | VoxelGrid, ijk: ArrayLike) -> Floats:
     """Return the LPS points (N, 3), mm, of fractional voxel indices i, j, k (N, 3)."""
     steps = np.asarray(ijk, dtype=np.float64) * volume.spacing
     return steps @ volume.direction.T + volume.origin
@@ -302,6 +307,25 @@ def require_inside(volume: Volume, points: Floats, kind: str) -> None:
 MAX_EQUAL = 3  # voxels around a thing that have its largest value by chance
 
 
+def describe_content(volume: Volume) -> str:
+    """Return what a volume holds: its size, and the range of its values."""
+    size, steps = (
+        " x ".join(f"{length:.3g}" for length in lengths)
+        for lengths in (volume.grid.size * volume.spacing, volume.spacing)
+    )
+    low, high = float(volume.values.min()), float(volume.values.max())
+    return (
+        f"the scan is {size} mm large, its voxels {steps} mm; its values are {low:.5g} to {high:.5g}, the "
+        f"median of what is denser than foam {volume.tissue:.0f}"
+    )
+
+
+def explain_refusal(error: NeedlefitError, volume: Volume) -> NeedlefitError:
+    """Return why a scan is refused with what its volume holds, and first any doubt about its unit."""
+    doubts = [f"{doubt}. With these values: " for doubt in doubt_air(volume)]
+    return error.replace(what=f"{''.join(doubts)}{error.what}; {describe_content(volume)}")
+
+
 def doubt_air(volume: Volume) -> Iterator[str]:
     """Yield a warning if air has another value than in HU, as grey values of cone beams have.
 
@@ -327,10 +351,9 @@ def require_hounsfield(volume: Volume, where: str) -> None:
     low, high = float(volume.values.min()), float(volume.values.max())
     if low >= 0 or high - low < HU.METAL_CONTRAST:
         raise DataError(
-            f"its values, {low:.4g} to {high:.4g}, are no Hounsfield units of a scan with a needle",
+            "its values are no Hounsfield units of a scan with a needle",
             expected="air near -1000, water near 0, metal above 1000",
-            fix="subtract the offset, 1024 as a rule; or export the original series in HU, e.g. as DICOM "
-            "with its "
-            "rescale; or convert attenuation: HU = 1000 (mu / mu of water - 1)",
+            fix="export the original series in HU, e.g. as DICOM with its rescale; or subtract an offset "
+            "(1024 as a rule), or convert attenuation: HU = 1000 (mu / mu of water - 1)",
             where=where,
         )

@@ -110,12 +110,13 @@ def _choose_member(folder: Path, series: str | None) -> Path:
     """Return what is meant in an unpacked archive: an image file, or the folder of a DICOM series."""
     files = list_files(folder)
     images = [file for file in files if is_image_file(file)]
-    if series is not None or not images:
+    inner = [file for file in files if file.name.lower().endswith(ARCHIVE_SUFFIX)]
+    if not inner and (series is not None or not images):
         return folder
-    if len(images) > 1 or any(map(begins_as_dicom, files)):
-        names = ", ".join(str(file.relative_to(folder)) for file in files[:MAX_LISTED_FILES])
+    if inner or len(images) > 1 or any(map(begins_as_dicom, files)):
+        names = ", ".join(str(file.relative_to(folder)) for file in (inner or files)[:MAX_LISTED_FILES])
         raise DataError(
-            f"holds {len(files)} files: {names}",
+            f"holds {'ZIP archives' if inner else f'{len(files)} files'}: {names}",
             expected="one image file, or DICOM files alone",
             fix="unpack it and name the scan's file or folder; of DICOM give the series with --series",
             where=folder,
