@@ -8,9 +8,9 @@ neither a packed line nor a shorter name is counted as less. An f-string is one 
 Python. Characters of JavaScript and C++ are counted without the spaces at the ends of lines.
 
 Of the package it also counts words in strings that are no docstrings (a text without a space counts as
-none: keys, columns, formats), constants of modules (numbers under names in capitals, also of classes), and
-names that do not state what they hold: variables, parameters and attributes called `one`, `found` and so on,
-each counted where it is bound. `--names` prints these by file.
+none: keys, columns, formats), constants of modules (numbers under names in capitals, also of classes, and
+the fields of records of numbers), and names that do not state what they hold: variables, parameters and
+attributes called `one`, `found` and so on, each counted where it is bound. `--names` prints these by file.
 """
 
 import ast
@@ -36,6 +36,8 @@ GOALS = {
 """Each count, at most; of `needlefit` and `tests` tokens."""
 ARRAYS = {"array", "arange", "linspace", "log", "radians"}
 """Functions of numpy that numbers make numbers."""
+RECORDS = {"Known"}
+"""Classes whose fields are numbers."""
 VAGUE_NAMES = {"one", "found", "own", "what", "at", "every", "each", "known"}
 OTHER_SOURCES = {
     "JavaScript": {".js", ".mjs"},
@@ -126,7 +128,7 @@ def is_number(node):
 
 
 def count_constants(text):
-    """Return how many names in capitals a module, and its classes, give to numbers."""
+    """Return how many numbers a module, and its classes, give to names in capitals; of records all."""
     module = ast.parse(text)
     bodies = [module.body, *(node.body for node in module.body if isinstance(node, ast.ClassDef))]
     pairs = (
@@ -135,7 +137,13 @@ def count_constants(text):
         for statement in body
         if isinstance(statement, ast.Assign | ast.AnnAssign)
     )
-    return sum(isinstance(name, ast.Name) and name.id.isupper() and is_number(value) for name, value in pairs)
+    named = [value for name, value in pairs if isinstance(name, ast.Name) and name.id.isupper()]
+    return sum(map(is_number, named)) + sum(
+        is_number(argument)
+        for value in named
+        if isinstance(value, ast.Call) and isinstance(value.func, ast.Name) and value.func.id in RECORDS
+        for argument in (*value.args, *(keyword.value for keyword in value.keywords))
+    )
 
 
 def list_bound_names(text):

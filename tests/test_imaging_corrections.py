@@ -162,6 +162,11 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
     (one,) = json.loads(points.read_text())["markups"]
     (entry,) = (point["position"] for point in one["controlPoints"] if point["label"] == "entry")
     assert_allclose(entry, cases.ENTRY, atol=0.1)
+    (seen,) = json.loads(Path("asked.refused/slicer/plate.mrk.json").read_text())["markups"]
+    places = {point["label"]: np.array(point["position"]) for point in seen["controlPoints"]}
+    assert places.keys() == {"tip", "entry 1", "entry 2", "guide 2 begins", "guide 2 ends"}
+    lengths = [np.linalg.norm(places["tip"] - places[f"guide 2 {end}"]) for end in ("begins", "ends")]
+    assert lengths == approx([28.0, 14.0], abs=0.6)
     assert run(*shlex.split(command)[1:]) == 0  # as it is printed
     offered = pd.read_csv("asked/reconstruction.csv").iloc[0]
     assert offered["depth_mm"] == approx(28.0, abs=0.2) and "confirmed" in offered["warnings"]
@@ -171,6 +176,9 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
     assert run(*words, "behind", "--confirm", "plate:entry=2") == 0
     behind = pd.read_csv("behind/reconstruction.csv").iloc[0]
     assert behind["depth_mm"] == approx(14.0, abs=0.6)
+    lists = json.loads(Path("behind/slicer/plate.mrk.json").read_text())["markups"]
+    (guide,) = (one["controlPoints"] for one in lists if "guide" in one["name"])
+    assert guide[0]["position"] == approx(entry, abs=0.1) and guide[1]["label"] == "guide ends"
     assert run(*words, "none", "--confirm", "entry=3") == 3
     for answer in ("axis", "gel:entry=1"):
         assert run(*words, "other", "--confirm", answer) == 2

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -43,6 +44,7 @@ class ReconstructionFailure:
     scan: Scan
     error: NeedlefitError
     points: Markups | None = None  # control points of what was found in it, LPS, mm
+    entries: Markups | None = None  # the entries to choose from, faces of guides and the tip, likewise
     warnings: tuple[str, ...] = ()  # what a person should know of the scan's files
     picture: CurvePicture | None = None  # of what was taken for the needle
     asked: int = 0  # how many answers about the entry a person may choose from
@@ -160,12 +162,20 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan, report: Callable[[str]
         axis = found.selection.axis or follow_tube(search.volume, found.selection.needle, search.recipe)
         needle = axis.spline(np.arange(0.0, axis.length, 1.0))
     balls = np.empty((0, 3)) if found.markers is None else found.markers.centers
-    entries, entry = np.empty((0, 3)), found.entry
+    entries, entry, listed = np.empty((0, 3)), found.entry, None
     if needle is not None and entry is not None:
-        entries = interpolate_at_arc(needle, [answer.at for answer in entry.answers or (entry,)])
+        answers = entry.answers or (entry,)
+        entries, places = interpolate_at_arc(needle, [answer.at for answer in answers]), {"tip": needle[-1]}
+        for n, (answer, point) in enumerate(zip(answers, entries, strict=True), start=1):
+            ends = interpolate_at_arc(needle, answer.guide or ())
+            labels = f"guide {n} begins", f"guide {n} ends"
+            places |= {f"entry {n}": point, **dict(zip(labels, ends, strict=False))}
+        listed = Markups(
+            Path(scan.id), f"{scan.id} entries", "Fiducial", tuple(places), np.array([*places.values()])
+        )
     points = make_control_points(scan.id, needle, entries[0] if len(entries) else None, balls)
     picture = None if needle is None else picture_curve(search.volume, needle, entries)
-    return ReconstructionFailure(scan, failed, points, search.volume.warnings, picture, found.asked)
+    return ReconstructionFailure(scan, failed, points, listed, search.volume.warnings, picture, found.asked)
 
 
 def _try_step(scan: Scan, work: Callable[[], T]) -> T | ReconstructionFailure:

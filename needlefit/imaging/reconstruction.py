@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface
@@ -140,6 +141,13 @@ class Reconstruction:
     def local(self) -> Floats:
         """The centreline in C (N, 3), mm; z is the deviation out of the bending plane."""
         return self.frame.to_local(self.points)
+
+    @property
+    def guide_faces(self) -> Floats:
+        """Where the needle passes the faces of the guide (2, 3), LPS, mm; (0, 3) without a guide."""
+        whole = self.needle_axis.points
+        entry = arc_length(whole)[-1] - self.depth
+        return interpolate_at_arc(whole, entry + np.array(self.guide or ()))
 
     def name_part(self, run: MaterialRun) -> Literal["before", "guide", "tissue"]:
         """Return what was taken for what the needle passes."""

@@ -115,7 +115,8 @@ def write_scan(reconstruction: "Reconstruction", folder: Path) -> None:
     """Write the objects that Slicer shows over the scan to `folder`.
 
     `<id>.mrk.json` holds the whole needle, the part from entry to tip, the edges of its pointwise 95 % band
-    toward and away from the bending side, entry and tip, where layers are crossed, and the markers found.
+    toward and away from the bending side, entry, faces of a guide and tip, where layers are crossed, and the
+    markers found.
     """
     folder.mkdir(parents=True, exist_ok=True)
     write_mrk_json(folder / f"{reconstruction.scan.id}.mrk.json", _scan_markups(reconstruction))
@@ -153,6 +154,7 @@ def _scan_points(reconstruction: "Reconstruction") -> Iterator[tuple[str, tuple[
     """Yield name, labels, places (K, 3) and colour of each list of points."""
     layers, ends = reconstruction.layers, reconstruction.patient.to_local(reconstruction.points[[0, -1]])
     yield "entry and tip", ("entry", "tip"), ends, PAPER_COLOUR
+    yield "faces of the guide", ("guide begins", "guide ends"), reconstruction.guide_faces, GREY
     into = tuple(
         f"into layer {layer}, {depth:.1f} mm"
         for layer, depth in zip(layers.sequence[1:], layers.boundaries, strict=True)

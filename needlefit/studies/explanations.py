@@ -236,7 +236,8 @@ def find_topics(name: str) -> list[Topic]:
     column = find_column(name)  # its name may have a number, such as mu3_pa
     if not matching and column.explanation:
         matching = [Topic(name, column.label, (column.explanation,))]
-    return matching
+    # a key with its table, such as guide.thickness_mm
+    return matching if matching or "." not in name else find_topics(name.rpartition(".")[2])
 
 
 def _fold(name: str) -> str:

@@ -386,7 +386,10 @@ def write_refused(failures: Sequence[ReconstructionFailure], folder: Path) -> No
 
 
 def _write_refusals(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
-    """Write control points and pictures of what was found in refused scans."""
+    """Write points and pictures of what was found in refused scans."""
     for failure in failures:
         write_control_points(failure.points, folder / "slicer")
+        if failure.entries is not None:
+            style = CurveStyle(rgb(PAPER_COLOUR), POINT_SIZE_MM)
+            write_mrk_json(folder / "slicer" / f"{failure.scan.id}.mrk.json", [(failure.entries, style)])
         write_refusal_page(failure, folder / "quality" / f"{failure.scan.id}.pdf")
