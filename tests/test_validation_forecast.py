@@ -191,7 +191,7 @@ def test_the_verdict_of_a_run_of_the_same_data_stands_first(job, monkeypatch):
     """Of a run of other data, or another fit, nothing is repeated; that is named before the work."""
     fitted = replace(predict_with(job, monkeypatch, [theta(job)] * 5), name="known")
     first, *others = job.folds[0].tune
-    moved = replace(job.folds[0], tune=(replace(first, make_digest=lambda: "0"), *others))
+    moved = replace(job.folds[0], tune=(replace(first, digest=lambda: "0"), *others))
     other = job.medium.model_copy(update={"thickness_mm": 1.0})
     for changes, named in (
         ({}, ""),

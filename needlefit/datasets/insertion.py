@@ -198,6 +198,8 @@ class Insertion(InsertionInputs):
         Directions of the tip, rad, along y, and z, as a tracker reports them; empty where it does not.
     setup : str
         Name of the guide and of how the specimen was held, of a tip track; one for all where it is empty.
+    digest : callable
+        Returns the SHA-256 of what was read of it and decides a fit (`digests`); empty of one made in memory.
     where : str
         File and line of its row; empty of one that was made in memory.
     curve_roll : float
@@ -235,16 +237,11 @@ class Insertion(InsertionInputs):
     directions: int = 2
     headings: tuple[Floats, ...] = ()
     setup: str = ""
-    make_digest: Callable[[], str] = str  # returns `digest`
+    digest: Callable[[], str] = str
     where: str = ""
     curve_roll: float = 0.0
     #: smooth curves, with the points that they were drawn through; copies of the insertion share them
     curves: dict[Compared, tuple[Floats, MeasuredCurve]] = field(default_factory=dict, repr=False)
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of what was read of it and decides a fit (`digests`); empty of one made in memory."""
-        return self.make_digest()
 
     @property
     def states_errors(self) -> bool:

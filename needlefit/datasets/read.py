@@ -267,7 +267,10 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
             faults += find_faults(row, where, record.frame.pose) if row.tip_y is not None else ()
         sections = None
         if points is not None and is_curve and not faults:
-            sections, faults = find_sections(row, points.values, root, record)
+            try:
+                sections = find_sections(row, points.values, root, record)
+            except (ConfigError, DataError) as error:
+                faults.append(error)
         all_faults += faults
         medium = make_medium(row, record, root, shared, all_faults)
         # All faults of a row are collected before it is skipped, so that one run lists them all.
@@ -276,8 +279,8 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
         try:
             reduced = reduce_insertion(row, points, medium, needles[row.needle], patient, sections)
             surfaces = [hashed(root / s.file_of(row.id)) for s in record.media[row.medium].surfaces]
-            make_digest = partial(digest_insertion, row, points, sections, record, surfaces)
-            reduced = replace(reduced, make_digest=make_digest, where=where)
+            digest = partial(digest_insertion, row, points, sections, record, surfaces)
+            reduced = replace(reduced, digest=digest, where=where)
             yield ListedInsertion(reduced, row, where, points, is_curve)
         except DataError as error:
             all_faults.append(error.replace(where=error.where or where, fix=error.fix or BEVEL_FIX))

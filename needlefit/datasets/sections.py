@@ -12,7 +12,7 @@ from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion import Dataset, select_compared_places
 from needlefit.datasets.layers import LENGTH_TOLERANCE_MM, ListedInsertion
 from needlefit.datasets.observations import HELD
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import DataError
 from needlefit.geometry.smoothing_spline import (
     DEGREE,
     SplineSections,
@@ -36,58 +36,48 @@ WEIGHT_DIGITS = 6  # of weights and deviations
 
 def find_sections(
     row: InsertionRow, centerline: Floats, folder: Path, record: DatasetRecord
-) -> tuple[SplineSections | None, list[Fault]]:
-    """Return an insertion's cross-sections (world), None where the dataset has none, and their faults.
+) -> SplineSections | None:
+    """Return an insertion's cross-sections (world), None where the dataset has none.
 
-    The spline through them must end where the `centerline` (N, 3), world, ends.
+    The spline through them must end where the `centerline` (N, 3), world, ends, else DataError; ConfigError
+    of a file that is no record of sections.
     """
     if record.measurement is None or record.measurement.sections is None:
-        return None, []
+        return None
     path = folder / record.measurement.sections.replace("{id}", row.id)
-    try:
-        sections = from_record(load(path, SectionsRecord))
-    except (ConfigError, DataError) as error:
-        return None, [error]
+    sections = from_record(load(path, SectionsRecord))
     if abs(sections.s[-1] - row.depth) > LENGTH_TOLERANCE_MM:
-        return None, [
-            DataError(
-                f"the tip lies at {sections.s[-1]:.2f} in s_mm, but depth_mm is {row.depth:.2f}",
-                expected="arc lengths from first contact, mm, the tip last",
-                fix="count s_mm from the entry, or correct depth_mm",
-                where=path,
-            )
-        ]
+        raise DataError(
+            f"the tip lies at {sections.s[-1]:.2f} in s_mm, but depth_mm is {row.depth:.2f}",
+            expected="arc lengths from first contact, mm, the tip last",
+            fix="count s_mm from the entry, or correct depth_mm",
+            where=path,
+        )
     if len(find_empty_pieces(sections.q, sections.weights, sections.knots)):
-        return None, [
-            DataError(
-                "the sections do not determine the spline",
-                expected="a section of positive weight between all knots",
-                fix="leave out knots without sections",
-                where=locate_key(path, "weights"),
-            )
-        ]
+        raise DataError(
+            "the sections do not determine the spline",
+            expected="a section of positive weight between all knots",
+            fix="leave out knots without sections",
+            where=locate_key(path, "weights"),
+        )
     try:
         tip, sd = compute_tip(sections)
     except np.linalg.LinAlgError:
-        return None, [
-            DataError(
-                "weights of sections differ too much to draw a spline",
-                expected="weights of about 1, or less",
-                fix="correct weights",
-                where=path,
-            )
-        ]
+        raise DataError(
+            "weights of sections differ too much to draw a spline",
+            expected="weights of about 1, or less",
+            fix="correct weights",
+            where=path,
+        ) from None
     off, most = float(np.linalg.norm(tip - centerline[-1])), MAX_TIP_SDS * sd + MAX_TIP_MM
     if not off <= most:
-        return None, [
-            DataError(
-                f"the spline through the sections ends {off:.3g} mm from the centreline's end",
-                expected=f"at most {most:.2g} mm",
-                fix="correct points_mm, or store the centreline that was drawn through them",
-                where=path,
-            )
-        ]
-    return sections, []
+        raise DataError(
+            f"the spline through the sections ends {off:.3g} mm from the centreline's end",
+            expected=f"at most {most:.2g} mm",
+            fix="correct points_mm, or store the centreline that was drawn through them",
+            where=path,
+        )
+    return sections
 
 
 def find_operator_faults(

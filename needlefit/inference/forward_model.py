@@ -561,8 +561,7 @@ def with_planned_layers(
         if sequence != before[1]:
             continue
         if np.all(np.abs(depths - before[0]) < CROSSING_TOLERANCE_MM):
-            left = max(sequence) > medium.layers
-            return None if left else replace(insertion, boundaries=depths, sequence=sequence)
+            return replace(insertion, boundaries=depths, sequence=sequence) if sequence == inside else None
         if round_ >= HALVED_ROUNDS:  # crossings can alternate between two states; half steps damp that
             depths = 0.5 * (depths + before[0])
     return None

@@ -83,7 +83,7 @@ def identify(job: Job, analysis: object = None) -> FitIdentity:
     if analysis is not None:
         parts["options of the analysis"] = analysis
     digests = {name: digest_values(part)[:PART_DIGITS] for name, part in parts.items()}
-    data = {insertion.id: insertion.digest[:PART_DIGITS] for insertion in job.insertions}
+    data = {insertion.id: insertion.digest()[:PART_DIGITS] for insertion in job.insertions}
     return FitIdentity(sha256=digest_values([digests, data]), parts=digests, insertions=data)
 
 
@@ -125,7 +125,7 @@ def has_data(recorded: RunMetadata, dataset: Dataset) -> bool:
     """Return whether a dataset has the files of a result, or at least the data of all its insertions."""
     if recorded.dataset is not None and dataset.digest == recorded.dataset.sha256:
         return True
-    digests = {insertion.id: insertion.digest[:PART_DIGITS] for insertion in dataset.insertions}
+    digests = {insertion.id: insertion.digest()[:PART_DIGITS] for insertion in dataset.insertions}
     identity = recorded.identity
     return identity is not None and identity.insertions.items() <= digests.items()
 

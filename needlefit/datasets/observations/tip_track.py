@@ -161,7 +161,7 @@ def parse_tracks(
         if sd is None:
             del run[POINT_SD_COLUMN]  # digests are those of tables without the column
         digest = partial(digest_track, medium, run, record)
-        yield replace(track, setup=setup, hole=hole, point_sd=sd, make_digest=digest)
+        yield replace(track, setup=setup, hole=hole, point_sd=sd, digest=digest)
 
 
 def _find_zero(depths: Floats, record: DatasetRecord) -> float:
