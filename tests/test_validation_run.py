@@ -323,3 +323,13 @@ def test_a_run_that_is_stopped_while_it_is_repeated_without_a_needle_is_interrup
     monkeypatch.setattr(cross_validation_run, "list_doubtful", list_first)
     found = run("clean", study(), Settings(stop=lambda: bool(asked)))
     assert not asked[0].interrupted and found.interrupted and "effect" not in found.metadata.model_dump()
+
+
+@pytest.mark.usefixtures("few_draws")
+def test_a_run_all_of_whose_needles_are_doubtful_is_complete(project, monkeypatch):
+    def list_all(done, job):
+        return [insertion.id for insertion in job.insertions]
+
+    monkeypatch.setattr(cross_validation_run, "list_doubtful", list_all)
+    found = run("clean", study(), Settings())
+    assert not found.interrupted and "effect" not in found.metadata.model_dump()

@@ -65,11 +65,13 @@ def run(name: str, record: FitRecord, settings: Settings) -> Run:
     if not (doubtful := list_doubtful(concluded, job)):
         return concluded
     others = leave_out(job, doubtful)
+    if not others.folds:  # all needles are doubtful
+        return concluded
     # nothing is printed of the same folds without these needles
     quiet = replace(settings, first=no_note, sample=False)
     progress = StudyProgress(others, settings.progress)
     repeated = run_folds(others, replace(services, settings=quiet, progress=progress))
-    if not repeated or repeated[-1].interrupted:  # what these needles change is not known yet
+    if repeated[-1].interrupted:  # what these needles change is not known yet
         return replace(concluded, interrupted=True)
     if repeated[0].mode is None:
         return concluded
