@@ -175,7 +175,7 @@ TWO_WAYS = {
     "bevel_side.words": (["side", *"xyz"], [lambda n, k: "AB"[n % 2]]),
     "bevel_side.unit": (["side", *"xyz"], [lambda n, k: 180 * (n % 2)]),
     "specimen.column": (["phantom", *"xyz"], [lambda n, k: "PQ"[n % 2]]),
-    "holds=shapes": (["depth", *"xyz"], [lambda n, k: 4.0 * k]),
+    "holds=shapes": (["depth", *"xyz"], [lambda n, k: np.linalg.norm(NEEDLES[n][k] - NEEDLES[n][0])]),
 }
 
 

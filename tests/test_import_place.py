@@ -373,6 +373,40 @@ def test_depths_of_a_stage_are_those_at_the_times_of_the_camera(tmp_path, named)
     assert_allclose(curve.line[:, 0], 4e-4 * np.arange(0.0, 60.0, 5.0) ** 2, atol=1e-9)
 
 
+def test_tips_in_space_have_the_depths_of_a_stage_that_rests_before_it_moves(tmp_path):
+    times = np.arange(0.0, 8.0, 0.5)
+    depths = 10 * np.maximum(times - 2.0, 0.0)
+    tips = [("r", t, 7.0 + depth, 1e-3 * depth**2, 5.0) for t, depth in zip(times, depths, strict=True)]
+    write_table(log := tmp_path / "log.csv", "run,time [s],tip x [mm],tip y [mm],tip z [mm]", tips)
+    write_table(
+        stage := tmp_path / "b.csv", "run,time [s],depth [mm]", [("r", 0, 0), ("r", 2, 0), ("r", 7, 50)]
+    )
+    (curve,) = placed([log, stage], holds="tracks", pose="1,0,0", bevel="0,1,0")[1].curves
+    assert_allclose(curve.depths, np.arange(0.0, 51.0, 5.0), atol=1e-9)
+    assert_allclose(curve.line[:, 0], 1e-3 * np.arange(0.0, 51.0, 5.0) ** 2, atol=1e-9)
+
+
+@pytest.mark.parametrize(("zero", "deepest"), [("8", 42.0), ("first_reading", 50.0)])
+def test_depths_along_the_path_of_a_tip_count_from_the_stated_contact(tmp_path, zero, deepest):
+    tips = [("r", n, 7.0 + n, 1e-3 * n**2, 5.0) for n in range(51)]
+    write_table(log := tmp_path / "log.csv", "run,time [s],tip x [mm],tip y [mm],tip z [mm]", tips)
+    options = {"holds": "tracks", "pose": "1,0,0", "bevel": "0,1,0", "depth_zero": zero}
+    (curve,) = placed([log], **options)[1].curves
+    assert_allclose(curve.depths[[0, -1]], [0.0, deepest], atol=1e-9)
+
+
+def test_a_shape_that_begins_behind_its_entry_is_as_deep_as_stated(tmp_path):
+    """Its points state a depth each, the last one of 60 mm; the first one is 5 mm behind the entry."""
+    rows = [("n1", depth, depth + 13.0, 0.0, 0.0, "13,0,0") for depth in np.arange(5.0, 61.0, 5.0)]
+    text = "needle;depth [mm];x [mm];y [mm];z [mm];entry point [mm]\n"
+    (file := tmp_path / "a.csv").write_text(text + "".join(";".join(map(str, row)) + "\n" for row in rows))
+    options = {"holds": "shapes", "point_sd": "0.1"}
+    (curve,) = placed([file], pose="free", **options)[1].curves
+    assert curve.depth == 60.0
+    fix = refusal(DataError, "5.0 mm", placed, [file], pose="1,0,0", bevel="0,1,0", **options).fix
+    assert "--set entry_point=first" in fix
+
+
 def test_one_of_two_tools_in_rows_of_their_own_may_be_left_out(tmp_path):
     """A log of two runs, in which a reading is lost; a table names the runs and their bevels."""
     rows = [

@@ -159,6 +159,11 @@ class MappedTable(Table):
         """Return the cells of rows, those of the column `k`, in mm or 1/mm."""
         return np.array([self.read_number(meaning, n, k) for n in rows], dtype=np.float64)
 
+    def read_times(self, rows: Iterable[int]) -> Floats:
+        """Return the times of rows, in whatever unit; NaN where there is none."""
+        numbers = (self.number(self.cells["time"][n][0]) for n in rows)
+        return np.array([np.nan if number is None else number for number in numbers], dtype=np.float64)
+
     def read_side(self, n: int) -> Stated:
         """Return where the bevel faces in a row."""
         text = "".join(self.cells["bevel_side"][n])

@@ -75,7 +75,7 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
     for mapped in tables:
         if not mapped.has_points:
             _add_rows(mapped, curves)
-    if timed := [curve for curve in curves if curve.is_timed]:
+    if timed := [curve for curve in curves if curve.is_deflection and len(curve.times)]:
         raise DataError(
             f"nothing states the depths of the readings of {timed[0].name}",
             expected="a column `depth`, or a table of times and depths",
@@ -210,8 +210,8 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
     is_angle = "tangent" in columns and "x" not in columns
     is_deflection = not is_angle and ("deflection" in columns or "x" not in columns)
     across = ("deflection", "deflection_z") if "deflection" in columns else ("y", "z")
-    is_timed = is_deflection and "depth" not in columns and "time" in columns
-    along = "time" if is_timed else "depth" if is_deflection else "x"
+    is_timed = "depth" not in columns and "time" in columns and (is_deflection or kind.is_track)
+    along = "time" if is_timed and is_deflection else "depth" if is_deflection else "x"
     axes = ["arc", "tangent"] if is_angle else [along, *across]
     mapped.require(*axes[:2])
     axes = [axis for axis in axes if axis in columns]
@@ -241,7 +241,7 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
             kind,
             mapped.read_facts(rows, kind.varying),
             is_deflection=is_deflection,
-            is_timed=is_timed,
+            times=mapped.read_times(rows) if is_timed else np.empty(0),
             guide=_read_guide(mapped, rows),
             is_named=bool(name),
         )
@@ -331,10 +331,13 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
             problem = f"no {record.of} is called {join_names(strangers, MAX_LISTED_NAMES)}"
         listed = join_names([*without, *pairs.values()], MAX_LISTED_NAMES)
         unused = name_set("unused", json.dumps([mapped.sheet or mapped.path.name]))
+        fix = "write the same names in both tables"
+        if {curve.points.path.stem for curve in curves} >= {*rows}:  # its files are named so
+            fix = f"state {name_set('needle.source', 'file')}"
         raise DataError(
             problem,
             expected=f"a row for each {record.of}: {listed}",
-            fix=f"write the same names in both tables; or leave this one out: {unused}",
+            fix=f"{fix}; or leave this one out: {unused}",
             where=mapped.where,
         )
     for name, numbers in rows.items():

@@ -177,6 +177,7 @@ class Settler:
     is_complete: bool = False  # nothing may be assumed: the mapping was written before
     # what was done with the curves, for the screen
     notes: list[tuple[str, str]] = field(default_factory=list)
+    used: set[str] = field(default_factory=set)  # keys on which something of the needles depends
 
     def settle(
         self,
@@ -195,6 +196,7 @@ class Settler:
         """
         if shared := self.find_shared(key):
             return shared
+        self.used.add(key)
         meaning = VALUES[key]
         usual = meaning.usual if usual is None else usual
         reason = reason or meaning.reason

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
@@ -54,7 +55,7 @@ class ImportedCurve:
     depth_column: str = ""  # the header of the depths of readings
     is_deflection: bool = False  # the points are (depth, deflection up, to the right)
     rolls: Floats = field(default_factory=lambda: np.empty(0))  # (N,), of readings; where the bevel faces
-    is_timed: bool = False  # times stand where depths of readings will, which another table states
+    times: Floats = field(default_factory=lambda: np.empty(0))  # (N,), s; of readings whose depths are open
     guide: Floats | None = None  # (N, 3), mm; places of the guide at the readings
     is_named: bool = True  # a cell names it; else it has the name of its file or sheet
     given: str = ""  # its name in the file, which several curves may have
@@ -91,6 +92,12 @@ class ImportedCurve:
                     fix="correct one of the two",
                     where=fact.where,
                 )
+
+    def keep_readings(self, rows: NDArray[np.intp]) -> None:
+        """Keep the readings of a tip at these rows: points, rolls, and places of the guide."""
+        self.points = self.points.part(rows)
+        self.rolls = self.rolls[rows] if len(self.rolls) else self.rolls
+        self.guide = None if self.guide is None else self.guide[rows]
 
     @property
     def line(self) -> Floats:
@@ -262,6 +269,7 @@ class CurveAnswers:
 
     def stated(self, key: str) -> str:
         """Return what the mapping, or the same cell of every needle, states of all; empty if nothing."""
+        self.settler.used.add(key)
         shared = self.settler.find_shared(key)
         return shared.text if shared else self.settler.values.get(key, "")
 

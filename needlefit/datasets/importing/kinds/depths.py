@@ -20,21 +20,30 @@ def propose_depths(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
 
 
 def read_depths(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:
-    """Interpolate the depths of readings, mm, by their times; those at other times are left out."""
+    """Interpolate the depths of readings, mm, by their times.
+
+    Those at other times are left out, and of those at rest all but the first.
+    """
     mapped.require("time", "depth")
     times, depths = (mapped.read_numbers(meaning, rows) for meaning in ("time", "depth"))
-    order, read_times = np.argsort(times, kind="stable"), curve.line[:, 0]
+    order, read_times = np.argsort(times, kind="stable"), curve.times
     inside = np.flatnonzero((read_times >= times.min()) & (read_times <= times.max()))
-    if not (curve.is_timed and len(inside)):
+    if not len(inside):
         raise DataError(
             f"the readings of {curve.name} have no times between {times.min():g} and {times.max():g}",
             expected="a column of times in both tables, by one clock and in one unit",
             fix="correct the times, or join the tables",
             where=mapped.where,
         )
-    curve.points, curve.is_timed = curve.points.part(inside), False
-    values = np.column_stack([np.interp(read_times[inside], times[order], depths[order]), curve.line[:, 1:]])
-    curve.points = replace(curve.points, values=values)
+    depths_read = np.interp(read_times, times[order], depths[order])
+    moving = inside[np.diff(depths_read[inside], prepend=-np.inf) != 0]
+    curve.keep_readings(moving)
+    curve.times, depths_read = np.empty(0), depths_read[moving]
+    if curve.is_deflection:
+        values = np.column_stack([depths_read, curve.line[:, 1:]])
+        curve.points = replace(curve.points, values=values)
+    else:
+        curve.depths = depths_read
     curve.depth_column = str(mapped.record.columns["depth"].columns[0])
 
 

@@ -202,6 +202,8 @@ class ShapePlacer(Placer):
                 # depths count from the first point where it is stated
                 start = 0.0 if curve.entry is None else curve.entry[0]
                 curve.before = max(0.0, float(curve.line[0, 0] - start))
+            elif curve.entry is not None:
+                curve.before = float(np.linalg.norm(curve.line[0] - curve.entry))
             length, limit = curve.before + curve.length, curve.depth_tolerance
             if curve.before > limit and self.pose_kind != "free":
                 raise DataError(
@@ -489,7 +491,14 @@ def complete_shapes(draft: TableDraft, records: Records) -> None:
 
 
 def read_shape(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -> None:
-    """Take one point beside shapes for a tip; DataError if it is a shape that was cut short, or none is."""
+    """Take the greatest depth of a needle's points for its own, and one point beside shapes for a tip.
+
+    DataError if it is a shape that was cut short, or none is.
+    """
+    if "depth" in mapped.record.columns and "depth" not in curve.stated and not curve.is_deflection:
+        filled = [n for n in rows if any(mapped.cells["depth"][n])]
+        for deepest in sorted(filled, key=lambda n: mapped.read_number("depth", n))[-1:]:
+            curve.state(mapped.read_facts([deepest]))
     if len(rows) > 1:
         return
     names = [mapped.names[n] for n in mapped.kept_rows]

@@ -241,15 +241,19 @@ def settle_depth_zero(asked: CurveAnswers) -> None:
     if first.depths[0] < 0:
         usual, reason = "first_reading", f"{first.name} begins at {first.depths[0]:g} mm"
     for curve, answer in asked.each("depth_zero", usual, reason).items():
-        if not len(curve.depths):
-            continue
-        if answer.text == "tissue" and curve.depths[0] < 0:
-            raise answer.error(f"first_reading: {curve.name} begins at {curve.depths[0]:g} mm")
-        zeros = {"tissue": 0.0, "first_reading": float(curve.depths[0])}
-        zero = zeros[answer.text] if answer.text in zeros else answer.to_number()
-        if zero > curve.depths[-1]:
-            raise answer.error(f"at most the depth of its readings, {curve.depths[-1]:g} mm")
-        keep_readings(asked, curve, curve.depths - zero, curve.depths >= zero, "before contact")
+        if len(curve.depths):
+            count_depths(asked, curve, answer)
+
+
+def count_depths(asked: CurveAnswers, curve: ImportedCurve, depth_zero: Stated) -> None:
+    """Count the depths of readings from where it is stated that they begin; leave out those before."""
+    if depth_zero.text == "tissue" and curve.depths[0] < 0:
+        raise depth_zero.error(f"first_reading: {curve.name} begins at {curve.depths[0]:g} mm")
+    zeros = {"tissue": 0.0, "first_reading": float(curve.depths[0])}
+    zero = zeros[depth_zero.text] if depth_zero.text in zeros else depth_zero.to_number()
+    if zero > curve.depths[-1]:
+        raise depth_zero.error(f"at most the depth of its readings, {curve.depths[-1]:g} mm")
+    keep_readings(asked, curve, curve.depths - zero, curve.depths >= zero, "before contact")
 
 
 def measure_depths(asked: CurveAnswers) -> None:
@@ -268,8 +272,9 @@ def measure_depths(asked: CurveAnswers) -> None:
         )
     if asked.is_stated("entry_point"):
         entries = asked.each("entry_point")
+    zeros = asked.each("depth_zero") if asked.is_stated("depth_zero") else StatedValues()
     for curve, sd in asked.numbers("point_sd", is_above=True).items():
-        if len(curve.depths):
+        if curve not in moved:
             continue  # its file states them
         depths = (curve.line - (entries[curve].to_vector() if entries else curve.line[0])) @ axis
         deepest, is_kept, why = np.maximum.accumulate(depths), depths >= 0, "before the entry"
@@ -277,8 +282,11 @@ def measure_depths(asked: CurveAnswers) -> None:
             is_kept &= np.diff(deepest, prepend=-np.inf) > 0
             why = "by noise less deep than one before"
         keep_readings(asked, curve, depths, is_kept, why)
+        if zeros:
+            count_depths(asked, curve, zeros[curve])
     start = "the entry point" if entries else "the first reading"
-    asked.assumed["depth"] = f"the path of the tip along {pose.text} from {start} on"
+    less = ", less what depth_zero states" if zeros else ""
+    asked.assumed["depth"] = f"the path of the tip along {pose.text} from {start} on{less}"
 
 
 def keep_readings(
@@ -289,9 +297,8 @@ def keep_readings(
         count = f"{np.sum(~is_kept)} of {len(depths)} readings"
         asked.note(curve.name, f"{count} are left out: {why}")
     rows = np.flatnonzero(is_kept)
-    curve.points, curve.depths = curve.points.part(rows), depths[rows]
-    curve.rolls = curve.rolls[rows] if len(curve.rolls) else curve.rolls
-    curve.guide = None if curve.guide is None else curve.guide[rows]
+    curve.depths = depths[rows]
+    curve.keep_readings(rows)
 
 
 def is_guided(curve: ImportedCurve) -> bool:
