@@ -147,8 +147,8 @@ def _plan(record: MappingRecord, files: Sequence[Path], where: str, unused: Pair
     cells = [curve.stated for curve in content.curves]
     settler = Settler(values, assumed, cells, is_complete=where != DRAFT and not record.is_draft)
     plan = ImportPlan(content, settler)
-    for key in dict(assignments):
-        if key in VALUES and key not in (*OF_IMPORT, *settler.used):
+    for key in record.values:
+        if key not in (*record.assumed, *settler.used, *OF_IMPORT):
             settler.note(key, "not used: nothing of these needles depends on it")
     assumed = {key: assumed[key] for key in dict.fromkeys((*DECISIVE, *assumed)) if key in assumed}
     origin = "example" if examples else record.origin

@@ -203,7 +203,7 @@ class ShapePlacer(Placer):
                 start = 0.0 if curve.entry is None else curve.entry[0]
                 curve.before = max(0.0, float(curve.line[0, 0] - start))
             elif curve.entry is not None:
-                curve.before = float(np.linalg.norm(curve.line[0] - curve.entry))
+                curve.before = max(0.0, float((curve.line[0] - curve.entry) @ to_unit(curve.chord)))
             length, limit = curve.before + curve.length, curve.depth_tolerance
             if curve.before > limit and self.pose_kind != "free":
                 raise DataError(
