@@ -188,6 +188,9 @@ def undecoded(syntax):
     return slices
 
 
+THIN = [
+    a_slice(k, ImagePositionPatient=[-10.0, 20.0, round(30 + 0.15 * (k + (k > 2)), 6)]) for k in range(COUNT)
+]
 PADDED = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) for k in range(COUNT)]
 
 
@@ -196,6 +199,7 @@ PADDED = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) 
     [
         (PADDED, "nothing but padding", "", ""),
         ([*series()[:2], *series()[4:]], "002.dcm stands 2.7 mm behind 001.dcm", "002.dcm", ""),
+        (THIN, "003.dcm stands 0.3 mm behind 002.dcm", "003.dcm", ""),  # no slice is 0.1 mm off its place
         (
             [*series(), a_slice(2, NUMBERS[2] + 1, SOPInstanceUID=generate_uid())],
             "006.dcm stands 0 mm behind 002.dcm",

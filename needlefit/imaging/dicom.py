@@ -304,12 +304,13 @@ def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats)
     steps = rises @ normal
     step, origin = np.polyfit(count, positions, 1)
     away = np.linalg.norm(origin + np.outer(count, step) - positions, axis=1)
-    if (steps >= SPACINGS_MM[0]).all() and away.max() <= MAX_OFFSET_MM:
-        return origin, step
     lengths = np.column_stack([steps, np.linalg.norm(rises - np.outer(steps, normal), axis=1)])
-    apart = lengths[steps >= SPACINGS_MM[0]]  # of several slices at each place most steps are 0
-    usual = np.median(apart if len(apart) else lengths, axis=0)
-    odd = (np.abs(lengths - usual) > MAX_OFFSET_MM).any(axis=1)
+    is_apart = steps >= SPACINGS_MM[0]  # of several slices at each place most steps are 0
+    usual = np.median(lengths[is_apart] if is_apart.any() else lengths, axis=0)
+    is_one = is_apart & (np.rint(steps / usual[0]) == 1)  # a missing slice makes a step of two
+    if is_one.all() and away.max() <= MAX_OFFSET_MM:
+        return origin, step
+    odd = (np.abs(lengths - usual) > MAX_OFFSET_MM).any(axis=1) | ~is_one
     n = int((odd if odd.any() else away[1:]).argmax())
     (behind, beside), (step_mm, lean_mm) = lengths[n], usual
     raise DataError(
