@@ -29,6 +29,8 @@ from typing import Any, Protocol, TypeVar
 from needlefit.errors import UnfinishedWorkError
 from needlefit.project.processes import count_cores, end_with, limit_to_one_thread
 
+# ---- callbacks of long computations, and defaults that do nothing
+
 Progress = Callable[[str, int, int], None]  # called with what is done, how much of it, of how much
 Step = Callable[[int, int], None]  # called with how much is done, of how much
 Stop = Callable[[], bool]

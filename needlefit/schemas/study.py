@@ -161,6 +161,9 @@ class StudyRecord(FitRecord):
         return FitRecord.model_validate(table)
 
 
+# ---- studies with a `kind`
+
+
 class QuestionRecord(FileRecord):
     """`studies/<name>.toml`: the keys that all studies but those of one fit share."""
 

@@ -31,6 +31,8 @@ from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.kind import list_records
 
+# ---- the keys of files, read out of the schemas that check them
+
 
 @dataclass(frozen=True)
 class FileKind:
@@ -181,6 +183,9 @@ def _describe_type(annotation: Any) -> str:  # noqa: ANN401 - whatever may stand
 def _format_value(value: Any) -> str:  # noqa: ANN401 - a TOML value
     """Return a value as a TOML file has it."""
     return dumps({"key": value}).partition("= ")[2].strip() if value != "" else '""'
+
+
+# ---- all topics
 
 
 def read_input_columns() -> list[dict[str, str]]:
