@@ -14,7 +14,7 @@ from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.errors import DataError
 from needlefit.imaging.bright_voxels import MAX_LISTED_VOXELS
 from needlefit.imaging.constants import HU, MM, PART
-from needlefit.imaging.needle.axis_spline import FEWEST, ROUNDS, AxisSpline
+from needlefit.imaging.needle.axis_spline import FEWEST, AxisSpline
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -65,7 +65,6 @@ class Component:
     length: float  # extent along the main axis, mm
     width: float  # diameter of a rod of this length and as many voxels, mm
     bend: float  # root mean square distance from the parabola that fits best, mm
-    beside: Floats  # (N, 2); of the voxels beside that parabola, mm
 
 
 def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
@@ -125,21 +124,9 @@ def cut_components(
             found.append(part)
             continue
         pieces = cut_wide_parts(volume, part.voxels, PART.WIDENING * recipe.needle.diameter_mm)
-        trimmed = [_trim_piece(volume, one, recipe) for one in pieces if len(one) >= FEWEST]
+        trimmed = [measure_component(volume, one) for one in pieces if len(one) >= FEWEST]
         found += trimmed or [part]
     return found
-
-
-def _trim_piece(volume: Volume, voxels: Ints, recipe: ReconstructionRecord) -> Component:
-    """Return a piece (N, 3), i, j, k, without the rim that a wide part has left around the needle's curve."""
-    part = measure_component(volume, voxels)
-    for _ in range(ROUNDS):
-        reach = max(PART.WIDENING * recipe.needle.diameter_mm / 2, part.bend)
-        near = np.linalg.norm(part.beside, axis=1) <= reach
-        if near.all() or np.count_nonzero(near) < FEWEST:
-            break
-        part = measure_component(volume, part.voxels[near])
-    return part
 
 
 def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[float, float]]:
@@ -208,7 +195,7 @@ def measure_component(volume: Volume, voxels: Ints) -> Component:
     bend = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
     width = float(np.sqrt(4 * len(voxels) * voxel / (np.pi * length)))
     values = volume.values[tuple(voxels.T[::-1])].astype(np.float64)
-    return Component(voxels, points, values, length, width, bend, off)
+    return Component(voxels, points, values, length, width, bend)
 
 
 @dataclass(frozen=True)
