@@ -632,3 +632,18 @@ def test_rows_of_swapped_columns_and_an_entry_in_another_unit_are_named(tmp_path
     assert "--set entry_point.unit=m" in fix
     plan = prepare([points, facts], pose="1,0,0", entry_point__unit="m").plan
     assert [row.entry[0] for row in plan.rows] == approx([1005.0] * 3)
+
+
+def test_curvatures_at_several_depths_are_insertions_of_one_hole(tmp_path):
+    rows = [
+        (name, depth, sensor, 0.01 * depth, 0.0) for name in "ab" for depth in (20, 40) for sensor in (5, 10)
+    ]
+    header = "needle,depth [mm],distance from tip [mm],curvature y [1/m],curvature z [1/m]"
+    write_table(read := tmp_path / "fbg.csv", header, rows)
+    write_table(facts := tmp_path / "facts.csv", "needle,bevel side", [("a", 1), ("b", -1)])
+    _, plan, _ = placed([read, facts], pose="1,0,0", bevel="0,1,0")
+    assert [(row.id, row.depth, row.hole, row.side) for row in plan.rows] == [
+        *(("a-20", 20.0, "a", 1), ("a-40", 40.0, "a", 1)),
+        *(("b-20", 20.0, "b", -1), ("b-40", 40.0, "b", -1)),
+    ]
+    assert_allclose([curve.sensors[0][1] for curve in plan.curves], [2e-4, 4e-4, 2e-4, 4e-4])

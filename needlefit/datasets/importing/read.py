@@ -297,11 +297,12 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     if kind.placer is not None:
         if "needle" not in record.columns:
             names = [mapped.name for _ in names]
+        holes = _name_depths(mapped, names)
         taken = {curve.name for curve in curves}
         paired = pair_names(names, taken)
         for name in dict.fromkeys(name for name in names if name and name not in paired):
-            points = Points(mapped.path, np.empty((0, 3)))
-            curves.append(ImportedCurve(_make_name(name, taken), points, kind))
+            points, hole = Points(mapped.path, np.empty((0, 3))), holes.get(name, "")
+            curves.append(ImportedCurve(_make_name(name, taken), points, kind, given=hole, hole=hole))
             taken.add(curves[-1].name)
     filled = [n for n in mapped.kept_rows if any(any(mapped.cells[key][n]) for key in record.columns)]
     rows = group_values((names[n], n) for n in filled)
@@ -343,6 +344,19 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     for name, numbers in rows.items():
         for curve in [curve for curve in curves if called[curve] == pairs[name]]:
             kind.read(mapped, curve, numbers)
+
+
+def _name_depths(mapped: MappedTable, names: list[str]) -> dict[str, str]:
+    """Name rows of a needle that was read at several depths by the depth, too; return the needle by name."""
+    if "depth" not in mapped.record.columns:
+        return {}
+    depths = ["".join(cells) for cells in mapped.cells["depth"]]
+    of_needles, needles = group_values(zip(names, depths, strict=True)), dict[str, str]()
+    for n, (name, depth) in enumerate(zip(tuple(names), depths, strict=True)):
+        if name and len({*of_needles[name]}) > 1:
+            names[n] = f"{name}-{depth}"
+            needles[names[n]] = name
+    return needles
 
 
 # ---- names

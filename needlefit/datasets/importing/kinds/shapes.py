@@ -380,8 +380,11 @@ def advise_order(curves: Sequence[ImportedCurve]) -> str:
 
 def list_places(curves: Sequence[ImportedCurve]) -> str:
     """Return where the points of curves stand."""
-    places = (f"{curve.points.where()} to {curve.points.where(-1)}" for curve in curves)
-    return join_names([*dict.fromkeys(places)], 5)
+    texts = []
+    for curve in curves:
+        last = len(curve.line) - 1
+        texts.append(f"{curve.name}, {curve.points.where()} to {curve.points.where(last)}")
+    return join_names(texts, 5)
 
 
 def cut_shaft(curve: ImportedCurve, arc: float, other_end: str) -> None:
