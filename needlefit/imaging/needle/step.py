@@ -10,7 +10,7 @@ and the model's stated error.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from needlefit.arrays import Floats
 from needlefit.geometry.smoothing_spline import design_matrix, free_end_basis
@@ -51,7 +51,7 @@ def find_step(beside: Floats, slopes: Floats, shifts: Floats, places: Floats) ->
         count, components = np.count_nonzero(left), left.shape[2]
         freedom = max(1.0, (count - components * slopes.shape[2]) / factor)
         variance = float(np.sum(rest**2)) / freedom / information + MM.MODEL_SD**2
-        chance = len(shifts) * f_distribution.sf(np.mean(sizes**2) / variance, components, freedom)
+        chance = len(shifts) * fdtrc(components, freedom, np.mean(sizes**2) / variance)
         if chance < probability:
             best, probability = Step(place, float(np.linalg.norm(sizes)), float(np.sqrt(variance))), chance
     return best
