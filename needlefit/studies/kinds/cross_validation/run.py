@@ -31,6 +31,7 @@ from needlefit.studies.identity import describe_configuration
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.judge import judge
 from needlefit.studies.kinds.cross_validation.fold import (
+    SEARCH_PHASES,
     FitRows,
     FoldResult,
     FoldServices,
@@ -95,6 +96,7 @@ def run_folds(job: Job, services: FoldServices) -> list[FoldResult]:
         copied = replace(copied, checkpoint=Checkpoint(folder and folder.absolute()))
         work = partial(_run_elsewhere, job, copied)
         pool = settings.pool or LocalPool(processes)
+        services.progress.report(job.folds[0], SEARCH_PHASES[job.searches[0]])  # until a fold is done
         for number, (result, noted) in pool.run(work, range(len(job.folds)), settings.stop):
             results_by_number[number] = result
             for line in noted:
