@@ -20,7 +20,7 @@ from needlefit.geometry.stray_points import find_stray_points
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.project.toml import load
 from needlefit.project.unit_warnings import GAUGES_MM
-from needlefit.reporting.dataset_import import write_import
+from needlefit.reporting.dataset_import import tabulate_needles, write_import
 from needlefit.schemas.scene import SceneRecord, resolve_steps
 
 CASES = Path(__file__).with_name("imports")
@@ -647,3 +647,16 @@ def test_curvatures_at_several_depths_are_insertions_of_one_hole(tmp_path):
         *(("b-20", 20.0, "b", -1), ("b-40", 40.0, "b", -1)),
     ]
     assert_allclose([curve.sensors[0][1] for curve in plan.curves], [2e-4, 4e-4, 2e-4, 4e-4])
+
+
+def test_the_table_of_free_shapes_has_their_deflections_from_the_direction_that_fits_all(tmp_path):
+    """Errors of 0.1 mm let the first direction of one needle err by more than its deflection."""
+    rng, x, rows = np.random.default_rng(3), np.linspace(0.0, 60.0, 21), []
+    for n in range(6):
+        line = np.column_stack([x, (-1) ** n * 2.0 * (x / 60) ** 3, 0 * x]) + rng.normal(0, 0.1, (21, 3))
+        rows += [(f"n{n}", *point, (-1) ** n) for point in line]
+    write_table(file := tmp_path / "a.csv", "needle,x [mm],y [mm],z [mm],bevel side", rows)
+    made = write_placed(tmp_path / "gel", [file], pose="free", bevel="0,1,0", point_sd="0.1")
+    table = tabulate_needles(read(made))
+    assert_allclose(table["deflection (mm)"], 2.0, atol=0.4)
+    assert [*table["bends, from its bevel"]] == ["toward"] * 6

@@ -1,5 +1,6 @@
 """Show what an import understood: a table of its needles, and a picture of them in both frames."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -99,13 +100,15 @@ def _describe_needle(insertion: Insertion, bend: Bend) -> dict[str, object]:
     if not (insertion.in_tracker_frame or insertion.is_posed or insertion.bevel is not None):
         side = "(free shape)"
     side = "(turned)" if insertion.turns else side
+    # of free shapes from the direction that fits all: their own first direction is hardly known
+    is_free = not (insertion.is_posed or insertion.in_tracker_frame or math.isnan(bend.toward_mm))
     sensors = 0 if insertion.curvature is None else len(insertion.curvature)
     counts = {"tip": 1 + sensors, "curvature": sensors}
     row: dict[str, object] = {
         "insertion": insertion.id,
         "points": counts.get(insertion.observation, len(insertion.centerline)),
         "depth (mm)": round(insertion.depth, 2),
-        "deflection (mm)": round(insertion.deflection, 2),
+        "deflection (mm)": round(bend.toward_mm if is_free else insertion.deflection, 2),
         "entry x, y, z (mm)": _format_point(entry),
         "tip x, y, z (mm)": _format_point(tip),
         "layers": " > ".join(map(str, insertion.sequence)) + (f" at {depths} mm" if depths else ""),
