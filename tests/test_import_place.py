@@ -660,3 +660,13 @@ def test_the_table_of_free_shapes_has_their_deflections_from_the_direction_that_
     table = tabulate_needles(read(made))
     assert_allclose(table["deflection (mm)"], 2.0, atol=0.4)
     assert [*table["bends, from its bevel"]] == ["toward"] * 6
+
+
+def test_the_table_names_a_needle_that_bends_across_the_plane_of_its_bevel(tmp_path):
+    x = np.linspace(0.0, 60.0, 21)
+    bends = {"a": (3.0, 0.0), "b": (0.0, 3.0), "c": (0.0, 0.05)}  # mm, toward the bevel and across
+    rows = [(n, 60 * t, y * t**3, z * t**3, 1) for n, (y, z) in bends.items() for t in x / 60]
+    write_table(file := tmp_path / "a.csv", "needle,x [mm],y [mm],z [mm],bevel side", rows)
+    made = write_placed(tmp_path / "gel", [file], pose="1,0,0", bevel="0,1,0", point_sd="0.1")
+    sides = tabulate_needles(read(made))["bends, from its bevel"]
+    assert [*sides] == ["toward", "ACROSS", "not clear"]

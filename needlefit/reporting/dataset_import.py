@@ -14,13 +14,14 @@ from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.bend_sides import Bend, measure_bends
+from needlefit.datasets.compared import SIGNIFICANT_SD, compute_plane_sd
 from needlefit.datasets.first_study import write_first_runs
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.meanings import COORDINATES, MEANINGS, VALUES
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.prepare import PreparedImport
 from needlefit.datasets.importing.writing import CURVATURE_FILE, TRACKS_FILE, TURNS_FILE, write_plan
-from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.datasets.record_warnings import MAPPING_FILE
 from needlefit.geometry.surfaces import Surface
 from needlefit.grouping import group_values
@@ -77,7 +78,15 @@ def find_not_imported(folder: Path) -> list[str]:
 def tabulate_needles(dataset: Dataset) -> pd.DataFrame:
     """Return one row for each insertion: points or sensors, depth, deflection, entry, layers, bevel."""
     bends = measure_bends(dataset.insertions, dataset.noise)
-    return pd.DataFrame([*map(_describe_needle, dataset.insertions, bends)])
+    across = [_bends_across(insertion, dataset.noise) for insertion in dataset.insertions]
+    return pd.DataFrame([*map(_describe_needle, dataset.insertions, bends, across)])
+
+
+def _bends_across(insertion: Insertion, noise: Noise) -> bool:
+    """Return whether a tip lies out of the plane of its bevel, by more than errors and than in the plane."""
+    beside, out = np.abs(insertion.points[-1, 1:])
+    limit = SIGNIFICANT_SD * compute_plane_sd(insertion, noise)
+    return bool(insertion.is_posed and out > max(beside, limit))
 
 
 def explain_unclear(dataset: Dataset) -> str:
@@ -93,10 +102,11 @@ def explain_unclear(dataset: Dataset) -> str:
     )
 
 
-def _describe_needle(insertion: Insertion, bend: Bend) -> dict[str, object]:
+def _describe_needle(insertion: Insertion, bend: Bend, is_across: bool) -> dict[str, object]:
     entry, tip = insertion.centerline[0], insertion.centerline[-1]
     depths = ", ".join(f"{depth:.1f}" for depth in insertion.boundaries)
     side = "toward" if bend.is_toward else "AWAY" if bend.is_away else "not clear"
+    side = "ACROSS" if is_across and not insertion.in_tracker_frame else side
     if not (insertion.in_tracker_frame or insertion.is_posed or insertion.bevel is not None):
         side = "(free shape)"
     side = "(turned)" if insertion.turns else side
