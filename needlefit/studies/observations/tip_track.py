@@ -70,7 +70,7 @@ def check_tracks(job: Job) -> None:
     tracks = [track for fold in job.folds for track in fold.validate if track.observation == NAME]
     if not tracks:
         return
-    depth = getattr(job.record, "registration_depth_mm", None)  # of a study
+    depth = _registration_depth(job)
     if depth is None:
         raise ConfigError(
             "tip tracks are predicted, and nothing places them in the tracker's frame",
@@ -96,6 +96,10 @@ def check_tracks(job: Job) -> None:
                 expected=f"{MIN_SCORED_READINGS} readings below it, at least",
                 fix="lower registration_depth_mm, or leave the run out",
             )
+
+
+def _registration_depth(job: Job) -> float | None:
+    return job.record.registration_depth_mm if isinstance(job.record, StudyRecord) else None
 
 
 def count_registered(track: Insertion, depth_mm: float) -> int:
@@ -141,7 +145,7 @@ def _predict_runs(specimens: Specimens, job: Job, fold: Fold) -> list[HeldOutPre
 
     `job` may compare in space, unlike that of `specimens`.
     """
-    depth, held = getattr(job.record, "registration_depth_mm", None), fold.validate[0]
+    depth, held = _registration_depth(job), fold.validate[0]
     assert depth is not None
     thetas, modes = dict[str, Floats](), dict[str, Floats]()
     for run in (*fold.tune, held):  # draws that are not certified are of all specimens together
