@@ -15,6 +15,7 @@ from track_cases import (
     DEPTH,
     GUIDE,
     GUIDE_Z,
+    HEAD,
     MEDIUM,
     NEEDLE,
     NOISE,
@@ -33,7 +34,7 @@ from track_cases import (
 )
 
 from needlefit.datasets.folds import Fold
-from needlefit.datasets.read import read
+from needlefit.datasets.read import inspect, read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference.baselines import BASELINES
@@ -76,6 +77,15 @@ def test_a_run_that_is_first_read_in_the_tissue_has_the_tips_of_one_read_from_co
         assert_allclose(run.points[:, 0], DEPTH + first)
         assert_allclose(run.guide.y[-len(GUIDE) :], GUIDE)
         assert run.guide.depths[0] == run.guide.y[0] == 0.0
+
+
+def test_of_readings_that_go_back_the_largest_step_is_named(tmp_path):
+    depths = (0.0, 5.0, 4.9, 10.0, 0.0, 5.0)
+    rows = "".join(f"run,gel,{depth},0.0,0.0,1\n" for depth in depths)
+    (tmp_path / "steps.csv").write_text(HEAD + rows)
+    (tmp_path / "dataset.toml").write_text(TOML)
+    faults = [fault for fault in inspect(tmp_path / "dataset.toml").faults if "back" in str(fault)]
+    assert len(faults) == 1 and "10" in str(faults[0]) and faults[0].where.endswith("steps.csv:6")
 
 
 @pytest.mark.parametrize("beyond", [0.0, 0.4, 0.9])

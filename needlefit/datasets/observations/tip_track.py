@@ -209,11 +209,14 @@ def _find_run_faults(
             fix="add the others, or leave the run out",
             where=first,
         )
-    for n in np.flatnonzero(np.diff(depth) <= 0)[:1]:
+    steps = np.diff(depth)
+    if np.any(steps <= 0):
+        n = int(np.argmin(steps))  # smaller steps back may be noise
         yield DataError(
             f"run {id_} goes from {depth[n]:g} back to {depth[n + 1]:g} mm",
             expected="depths that increase from reading to reading",
-            fix="leave out the readings that follow, or the run",
+            fix="leave out the readings that follow, or the run; of several runs in one file name each in a "
+            "column",
             where=f"{places[n + 1]}",
         )
     if depth[0] < _find_zero(depth, record):
@@ -223,7 +226,7 @@ def _find_run_faults(
             fix='correct them; or, if they are of a stage: depth_zero = "first_reading" of [tip_tracks]',
             where=first,
         )
-    for n in np.flatnonzero(np.diff(depth) > MAX_STEP_MM)[:1]:
+    for n in np.flatnonzero(steps > MAX_STEP_MM)[:1]:
         yield DataError(
             f"run {id_} goes {depth[n + 1] - depth[n]:g} mm deeper between two readings",
             expected=f"mm, at most {MAX_STEP_MM:g} at once",
