@@ -208,6 +208,15 @@ def test_needles_of_the_same_names_are_of_several_sheets_or_specimens(tmp_path):
     assert "needle" in prepared.mapping.assumed
 
 
+def test_files_of_one_tool_are_needles_where_that_is_stated(tmp_path):
+    files = [
+        write_rows(tmp_path / f"run{n}.csv", [["tool", *"xyz"], *(["0A", *point] for point in NEEDLES[n])])
+        for n in range(2)
+    ]
+    assert "--set needle.source=file" in refusal(DataError, "run0.csv", prepare, files).fix
+    assert [row.id for row in planned(files, needle__source="file")[0].rows] == ["run0", "run1"]
+
+
 def test_a_point_list_that_names_the_other_needles_is_asked_about(tmp_path):
     for n, curve in enumerate(NEEDLES):
         write_markups(tmp_path / f"n{n}.mrk.json", f"n{n}", curve)

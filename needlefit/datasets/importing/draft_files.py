@@ -186,7 +186,7 @@ def list_entries(folder: Path) -> list[Path]:
 
 
 def _ask_sources(draft: Draft) -> None:
-    """Ask what sheets, or files, are of one kind whose needles have the same names.
+    """Ask what sheets, or files, are of one kind whose needles have the same names, and not those of files.
 
     It waits for an answer that may state specimens.
     """
@@ -205,10 +205,13 @@ def _ask_sources(draft: Draft) -> None:
     if not places:
         return
     source = "sheet" if len({file for file, _ in places}) == 1 else "file"
+    if draft.columns.get("needle", {}).get("source") == source:
+        return
     names = [*dict.fromkeys(sheet if source == "sheet" else file for file, sheet in places)]
     listed = f"{source.capitalize()}s {join_names(names, 4)}"
+    are_single = all(len(draft.needles[place]) == 1 for place in places)
     draft.ask(
-        "source",
+        "source_of_one" if are_single else "source",
         places[0][0],
         source=source,
         places=listed,
