@@ -500,7 +500,8 @@ def read_shape(mapped: MappedTable, curve: ImportedCurve, rows: Sequence[int]) -
     """
     if "depth" in mapped.record.columns and "depth" not in curve.stated and not curve.is_deflection:
         filled = [n for n in rows if any(mapped.cells["depth"][n])]
-        for deepest in sorted(filled, key=lambda n: mapped.read_number("depth", n))[-1:]:
+        if filled:
+            deepest = max(filled, key=lambda n: mapped.read_number("depth", n))
             curve.state(mapped.read_facts([deepest]))
     if len(rows) > 1:
         return
