@@ -12,13 +12,19 @@ information), and b alone.
 
 import argparse
 import json
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import minimize
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "studies"))
+
+from research.simulated_data import simulate_measurement
 
 from needlefit.datasets.read import read
 from needlefit.inference.parameters import Parameters, with_hyperparameters
@@ -27,7 +33,6 @@ from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
-from needlefit.studies.simulated_data import simulate_measurement
 
 HOW = {
     "independent, depths fixed": LikelihoodRecord(noise="independent", depths="fixed", bevel_spread=0),

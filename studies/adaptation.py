@@ -19,9 +19,10 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from research.fits import score_study
 
 import needlefit
-from needlefit.api import load_medium, score_study
+from needlefit.api import load_medium
 
 MARGIN_MM, SD_LN_BEVEL = 0.05, 0.60  # SD of ln b between phantoms 1 to 3 in the paper
 RECIPE = {"starts": 4, "metric": False}

@@ -20,6 +20,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from research.fits import draw_posterior
+from research.simulated_data import simulate_from_prior
 from scipy.stats import binom
 
 import needlefit
@@ -45,9 +47,9 @@ def evaluate(problem: needlefit.Problem, thetas: np.ndarray) -> dict[str, np.nda
 
 def rank_truth(study: str, seed: int) -> list[dict]:
     """Return the place of each quantity of a truth from the prior among draws of its posterior."""
-    theta, simulated = api.simulate_from_prior(api.make_problem(study), seed)
+    theta, simulated = simulate_from_prior(api.make_problem(study), seed)
     truth = evaluate(simulated, theta[None])
-    draws = evaluate(simulated, api.draw_posterior(simulated, DRAWS, seed).thetas)
+    draws = evaluate(simulated, draw_posterior(simulated, DRAWS, seed).thetas)
     return [place(name, (np.sum(draws[name] < truth[name]) + 0.5) / (DRAWS + 1)) for name in truth]
 
 

@@ -20,10 +20,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from research.fits import estimate_evidence
+from research.simulated_data import simulate_dataset
 from scipy.special import stdtrit
 
 import needlefit
-from needlefit.api import estimate_evidence, load_medium, simulate_dataset
 
 LAWS = ("ogden", "linear", "neo_hookean")
 RECIPE = {"starts": 2, "likelihood": {"noise_scale": "estimated", "measurement": "points"}}
@@ -54,15 +55,14 @@ def change_law(medium: dict, law: str) -> dict:
 def compare(source: str, folds: int | None = None) -> pd.DataFrame:
     """Return log p(fold | others) of every law and fold, with the Monte Carlo errors of both evidences."""
     medium, count = SOURCES[source]
-    name = "stereo_shapes" if source == "stereo" else "twin"
-    control = source == "control"
+    name, control = "stereo_shapes" if source == "stereo" else "twin", source == "control"
     data = simulate_dataset(CONTROL, medium, seed=1) if control else needlefit.load_dataset(name)
     table = data.to_frame().query("medium in ('phantom2', 'gel', 'made')")
     groups = table["insertion"].str.split("_").str[0] if source == "stereo" else table["insertion"]
     fold = groups.astype("category").cat.codes % (folds or count)
     rows = []
     for law in LAWS:
-        changed = change_law(load_medium(medium), law)
+        changed = change_law(needlefit.load_medium(medium), law)
         if control and law == "ogden":  # what a compression test would have determined
             changed["parameters"]["alpha1"] = {"fixed": CONTROL["values"]["alpha1"]}
         found = {}

@@ -20,9 +20,8 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from research.fits import score_study
 from synthetic import make_twin
-
-from needlefit.api import score_study
 
 STUDIES = ("study1", "study2", "study3", "study4", "study5")
 SMALL_IPE_MM = 0.74

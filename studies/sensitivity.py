@@ -15,8 +15,9 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pandas as pd
+from research.fits import score_study
 
-from needlefit.api import load_medium, score_study
+from needlefit.api import load_medium
 
 STUDIES = {
     **{f"study{n}": "phantom2" for n in (1, 2, 3, 4)},

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from research.simulated_data import simulate_dataset
 
-from needlefit.api import load_dataset, simulate_dataset
+from needlefit.api import load_dataset
 
 HEAD = """schema = 1
 name = "thin_gel"

@@ -10,6 +10,7 @@ import pytest
 from docs_scripts import load_script
 from pytest import approx
 from refusals import refusal
+from research.fits import estimate_evidence, score_study
 
 import needlefit
 from needlefit import api
@@ -17,7 +18,7 @@ from needlefit.errors import ConfigError
 from needlefit.inference import optimize
 from needlefit.inference import predict as held
 from needlefit.project.locate import find_file, shipped_folder
-from needlefit.studies import fold_draws
+from needlefit.studies import fold_draws, from_memory
 from needlefit.studies.kinds.prediction import run as prediction
 
 TUNE = {"insertions": ["chicken-04"]}
@@ -158,9 +159,9 @@ def test_the_public_names_alone_are_listed():
 
 
 def test_of_several_media_the_one_with_the_name_of_the_tissue_model_is_fitted(dataset):
-    fitted = api._open_fit("twin", "phantom1", stored=False)
+    fitted = from_memory.open_fit("twin", "phantom1", stored=False)
     assert fitted.record.tune.medium == "phantom1" and "phantom1" in fitted.record.note
-    other = api._open_fit("twin", "gel_wax", stored=False).record
+    other = from_memory.open_fit("twin", "gel_wax", stored=False).record
     assert other.tune.medium is None and not other.note
     refusal(
         ConfigError,
@@ -190,17 +191,17 @@ def test_a_changed_dataset_is_refused(dataset):
 
 def test_errors_of_a_study_are_those_of_validate_and_change_with_the_tissue_model(world, monkeypatch):
     monkeypatch.chdir(world.folder)
-    found = api.score_study("held_out")
+    found = score_study("held_out")
     keys, metrics = ["role", "insertion", "method"], ["ipe_mean_mm", "te_mm", "floor_te_mm"]
     scored = found.set_index(keys)[metrics].sort_index()
     run = world.restore("cross_validation").frames["errors"]
     stored = run[run["boundaries"] == "measured"].set_index(keys)[metrics].sort_index()
     pd.testing.assert_frame_equal(scored, stored.loc[scored.index], check_exact=False, rtol=1e-9)
     stiffer = api.load_medium("gel") | {"constraint_spacing_mm": 2.0}
-    changed = api.score_study("held_out", medium=stiffer).set_index(keys)["te_mm"].sort_index()
+    changed = score_study("held_out", medium=stiffer).set_index(keys)["te_mm"].sort_index()
     fitted = ("validate", "needle-3", "fitted")
     assert changed.loc[fitted] != approx(scored.loc[fitted, "te_mm"], rel=1e-3)
-    refusal(ConfigError, "", api.score_study, "design")
+    refusal(ConfigError, "", score_study, "design")
     refusal(ConfigError, "", needlefit.validate, "plan", medium=stiffer)
 
 
@@ -214,7 +215,7 @@ def test_models_are_compared_by_what_they_predict_of_insertions_left_out(sampled
     assert found.index.tolist() == names and (found["pareto_k"] < 0.7).all()
     # exactly it is the evidence of all insertions, less that of the others
     whole, rest = (
-        api.estimate_evidence("twin", "chicken", tune={"insertions": some}, recipe=recipe)["log_evidence"]
+        estimate_evidence("twin", "chicken", tune={"insertions": some}, recipe=recipe)["log_evidence"]
         for some in (names, names[1:])
     )
     assert found["elpd"].iloc[0] == approx(whole - rest, abs=0.2)

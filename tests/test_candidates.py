@@ -10,7 +10,7 @@ from needlefit.studies.job import Settings
 from needlefit.studies.kinds import identification
 from needlefit.studies.kinds.identification import list_insertion_candidates, rank_candidates
 from needlefit.studies.load import load_study
-from needlefit.studies.simulated_data import choose_reference_values, simulate_design
+from needlefit.studies.simulated_design import choose_reference_values, simulate_design
 
 
 def prepare_chicken(*ids):

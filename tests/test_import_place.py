@@ -8,8 +8,8 @@ from import_cases import needle, placed, planned, prepare, write_long, write_mar
 from numpy.testing import assert_allclose
 from pytest import approx
 from refusals import refusal
+from research.fits import score_study
 
-from needlefit.api import score_study
 from needlefit.datasets.folds import divide_insertions
 from needlefit.datasets.planes import measure_out_of_plane
 from needlefit.datasets.read import inspect, read

@@ -8,11 +8,12 @@ import pytest
 from inference_cases import TRUTH, assert_one_density, insertion, measure, medium, problem
 from numpy.random import default_rng
 from pytest import approx
+from research.simulated_data import draw_boundary_errors
 from scipy.stats import multivariate_normal
 
 from needlefit.datasets.insertion import Noise
 from needlefit.inference.likelihood.marginal import linearize_residuals, log_marginals, solve_shared
-from needlefit.inference.likelihood.nodes import DEPTH_STEPS_SD, draw_boundary_errors, group_nodes, make_nodes
+from needlefit.inference.likelihood.nodes import DEPTH_STEPS_SD, group_nodes, make_nodes
 from needlefit.schemas.recipe import LikelihoodRecord
 
 LINE = np.linspace(0.0, 40.0, 41)

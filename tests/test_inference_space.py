@@ -20,6 +20,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from problem_cases import make_problem
 from pytest import approx
+from research.simulated_data import simulate_measurement
 from test_datasets import CURVE, record, row
 
 from needlefit import Scene, simulate_steps
@@ -39,7 +40,6 @@ from needlefit.mechanics.torsion import compute_roll_lag
 from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.studies.prediction_scores import score_tip_in_space
-from needlefit.studies.simulated_data import simulate_measurement
 
 TURNED = {
     "insertions": {"file": "insertions.csv", "turns": "turns.csv"},

@@ -9,6 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
 from refusals import refusal
+from research.simulated_data import simulate_measurement
 from scipy.linalg import block_diag
 from scipy.special import ndtr
 from track_cases import (
@@ -56,7 +57,6 @@ from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Job
 from needlefit.studies.observations.tip_track import simulate_runs
-from needlefit.studies.simulated_data import simulate_measurement
 
 REST = np.zeros(len(DEPTH))
 THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"], TRUTH["guide_distance_mm"]])

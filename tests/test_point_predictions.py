@@ -7,8 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.random import default_rng
+from research.simulated_data import simulate_dataset
 
-from needlefit import api, minimize
+from needlefit import minimize
 from needlefit.inference.likelihood.observations import align_points, select_points
 from needlefit.inference.predict import PointPrediction, choose_point
 from needlefit.schemas.medium import MediumRecord
@@ -50,7 +51,7 @@ def load_needles(seed, pose):
         "noise": {"point_sd_mm": float(rng.uniform(0.03, 0.2))},
         "insertions": insertions,
     }
-    dataset = replace(api.simulate_dataset(data, MEDIUM, seed), pose=pose)
+    dataset = replace(simulate_dataset(data, MEDIUM, seed), pose=pose)
     ids = [one.id for one in dataset.insertions]
     folds = {"tune": {"insertions": ids[:4]}, "validate": [{"insertions": ids[4:]}]}
     names = {"dataset": "needles", "medium": "gel", "recipe": "quick"}

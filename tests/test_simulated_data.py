@@ -9,26 +9,16 @@ from inference_cases import NEEDLE, insertion, measure, medium
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
+from research.simulated_data import simulate_from_prior, simulate_measurement
 from track_cases import DEPTH, GUIDE, MEDIUM, TRUTH, track
 from track_cases import dataset as tracks
 from track_cases import problem as track_problem
 
-from needlefit import (
-    Bevel,
-    Controls,
-    ModelOptions,
-    Problem,
-    Step,
-    Tissue,
-    api,
-    compute_positions,
-    simulate_steps,
-)
+from needlefit import Bevel, Controls, ModelOptions, Problem, Step, Tissue, compute_positions, simulate_steps
 from needlefit.datasets.insertion import Dataset, Noise
 from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.parameters import Parameters
 from needlefit.schemas.recipe import RecipeRecord
-from needlefit.studies.simulated_data import simulate_measurement
 
 SEEN = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
 
@@ -74,7 +64,7 @@ def test_depths_err_as_stated_and_the_noise_s_scale_is_drawn_too():
 
 def test_a_truth_from_the_prior_differs_by_seed_and_keeps_the_design():
     problem = small_problem()
-    drawn = [api.simulate_from_prior(problem, seed) for seed in (1, 1, 2)]
+    drawn = [simulate_from_prior(problem, seed) for seed in (1, 1, 2)]
     (one, first), (again, same), (other, second) = drawn
     assert one.tolist() == again.tolist() != other.tolist()
     assert np.all((problem.lower <= one) & (one <= problem.upper))

@@ -16,13 +16,13 @@ from inference_cases import (
 from numpy.random import default_rng
 from problem_cases import ALONG_X, make_problem
 from pytest import approx
+from research.simulated_data import simulate_measurement
 
 from needlefit.datasets.folds import is_copy
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import check, read
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observations import make_observation, read_points, whiten_residuals
-from needlefit.studies.simulated_data import simulate_measurement
 
 ONE_LAYER = medium(1)
 THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"]])

@@ -8,9 +8,7 @@ from typing import Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from needlefit.schemas.base import Compared, FileName, FileRecord, Record
-from needlefit.schemas.dataset import NoiseRecord
 from needlefit.schemas.medium import spell_parameter
-from needlefit.schemas.scene import NeedleRecord
 
 LayerCountRule = Literal["listed", "alternative"]
 
@@ -192,33 +190,3 @@ class TargetRecord(AnalysisRecord):
 
     target: str
     """Study or fit whose insertions are analysed: its name, or the path of its file."""
-
-
-class SyntheticInsertionRecord(Record):
-    """One simulated insertion; the base moves across once the needle is in."""
-
-    depth_mm: float = Field(gt=0)
-    """Insertion depth."""
-    side: Literal[1, -1] = 1
-    """Side that the bevel faces: 1 toward y > 0, -1 toward y < 0."""
-    base_moved_mm: float = 0.0
-    """How far the base moves across after the insertion."""
-
-
-class SyntheticDataRecord(Record):
-    """Data simulated for the study: true parameters, needle, and measurement errors."""
-
-    title: str
-    """Name of the data in the report."""
-    values: dict[str, float]
-    """True parameters, by the names that the tissue model gives them."""
-    needle: NeedleRecord
-    """The needle that is simulated."""
-    noise: NoiseRecord
-    """Measurement errors that are added."""
-    pose_angle_sd_deg: float = Field(default=0.0, ge=0)
-    """Standard deviation of the error of the entry direction."""
-    depth_sd_mm: float = Field(default=0.0, ge=0)
-    """Standard deviation of the error of the insertion depth."""
-    insertions: tuple[SyntheticInsertionRecord, ...] = Field(min_length=2)
-    """The insertions, at least two."""

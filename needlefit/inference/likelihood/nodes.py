@@ -127,23 +127,7 @@ def roll_bevel(insertion: Insertion, angle: float) -> Insertion:
 Surface = tuple[object, ...]
 
 
-def draw_boundary_errors(
-    insertion: Insertion, shared: dict[Surface, float], rng: np.random.Generator
-) -> Floats:
-    """Draw the errors (n - 1,) of an insertion's boundaries, mm.
-
-    `shared` holds the errors of surfaces, in standard deviations; what is missing there is drawn and added.
-    """
-    common, own_sd = split_boundary_sd(insertion)
-    errors = own_sd * rng.standard_normal(len(insertion.boundaries))
-    for k, surface in enumerate(_list_surfaces(insertion)):
-        if surface not in shared:
-            shared[surface] = float(rng.standard_normal())
-        errors[k] += common * shared[surface]
-    return errors
-
-
-def _list_surfaces(insertion: Insertion) -> list[tuple[str, int, int]]:
+def list_surfaces(insertion: Insertion) -> list[tuple[str, int, int]]:
     """Return which surface of its specimen each boundary is: the layers that it parts say it."""
     pairs = zip(insertion.sequence, insertion.sequence[1:], strict=False)
     return [(insertion.specimen, min(pair), max(pair)) for pair in pairs]
@@ -158,7 +142,7 @@ def _list_depth_errors(insertion: Insertion) -> list[tuple[ErrorAxis, Floats, fl
     if insertion.boundary_sd > 0:
         shared, own_sd = split_boundary_sd(insertion)
         whole = float(np.hypot(shared, own_sd))
-        for row, surface in zip(whole * np.eye(count), _list_surfaces(insertion), strict=True):
+        for row, surface in zip(whole * np.eye(count), list_surfaces(insertion), strict=True):
             # the depth of a surface that is crossed again may err otherwise: sheets are crossed once
             again = any(axis.surface == surface for axis, *_ in depth_errors)
             axis = ErrorAxis(own_sd / whole, shared / whole, surface) if shared and not again else ErrorAxis()

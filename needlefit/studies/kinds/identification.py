@@ -49,7 +49,7 @@ from needlefit.studies.kind import StudyKind
 from needlefit.studies.load import begin_run, prepare_target
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run
-from needlefit.studies.simulated_data import choose_reference_values, simulate_design
+from needlefit.studies.simulated_design import choose_reference_values, simulate_design
 
 
 class IdentificationRecord(TargetRecord):

@@ -1,4 +1,4 @@
-"""Simulate measured needles in memory: single ones, or a dataset, with the errors that it states."""
+"""Needles that the fitted model simulates, measured with the errors that a dataset states."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError, FitError
 from needlefit.geometry.frames import Frame
-from needlefit.inference.forward_model import predict, with_planned_layers
+from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood import nodes
 from needlefit.inference.likelihood.observations import OBSERVATIONS, StatedErrors, TrueNeedle, measure
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, find_bevel_factors
@@ -22,10 +22,27 @@ from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
 from needlefit.project.input_files import digest_values
 from needlefit.project.random_streams import random_stream
-from needlefit.project.toml import locate_key
+from needlefit.project.toml import locate_key, read_given
+from needlefit.schemas.dataset import NoiseRecord
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.study import SyntheticDataRecord
-from needlefit.studies.job import Job
+from needlefit.schemas.scene import NeedleRecord
+from needlefit.studies.simulated_design import simulate_design
+
+
+def draw_boundary_errors(
+    insertion: Insertion, shared: dict[nodes.Surface, float], rng: np.random.Generator
+) -> Floats:
+    """Draw the errors (n - 1,) of an insertion's boundaries, mm.
+
+    `shared` holds the errors of surfaces, in standard deviations; what is missing there is drawn and added.
+    """
+    common, own_sd = nodes.split_boundary_sd(insertion)
+    errors = own_sd * rng.standard_normal(len(insertion.boundaries))
+    for k, surface in enumerate(nodes.list_surfaces(insertion)):
+        if surface not in shared:
+            shared[surface] = float(rng.standard_normal())
+        errors[k] += common * shared[surface]
+    return errors
 
 
 def simulate_measurement(
@@ -49,7 +66,7 @@ def simulate_measurement(
     """
     errors = {} if shared is None else shared
     deep = insertion.depth_sd * rng.standard_normal()
-    wrong = nodes.draw_boundary_errors(insertion, errors, rng)
+    wrong = draw_boundary_errors(insertion, errors, rng)
     # by how many SDs the bevel deviates: the same for all depths of one insertion
     ((specimen, number),) = list_bevels(dataset, (insertion,))
     deviation = errors.setdefault((specimen, nodes.BEVEL, number), float(rng.standard_normal()))
@@ -75,95 +92,106 @@ def draw_bevels(
     return {(specimen, nodes.BEVEL, number): deviation for (specimen, number), deviation in pairs}
 
 
-POINT_SPACING_MM = 1.0  #: distance of measured points along a needle, mm
+POINT_SPACING_MM = 1.0  # distance of measured points along a needle
 
 DATASET_MEDIUM = "made"
 
 
-def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecord, seed: int) -> Dataset:
-    """Return the dataset that a record describes, of a medium of one layer.
+def simulate_dataset(data: Mapping, medium: str | Mapping, seed: int) -> Dataset:
+    """Return a dataset of simulated insertions into one layer, without files.
 
-    Raises ConfigError if a needle has no solution.
+    Parameters
+    ----------
+    data : table
+        `title`; the true `values` (Pa, mm); the `needle`, as in a scene; `noise`, as in a dataset;
+        optionally `pose_angle_sd_deg` and `depth_sd_mm`; and `insertions`: a list of tables with
+        `depth_mm`, `side` (1 or -1) and `base_moved_mm`, how far the base moves across afterwards.
+    medium : name or table
+        The tissue model that generates the shapes.
+    seed : int
+        Of the errors of measurement.
+
+    Raises
+    ------
+    ConfigError
+        If a key of the needle or the noise is wrong, or an insertion has no solution.
     """
+    tissue, _ = read_given("medium", medium, MediumRecord)
+    needle = Needle.from_record(NeedleRecord.model_validate(data["needle"]))
     dataset = Dataset(
-        name=name,
-        title=record.title,
+        name="simulated",
+        title=data["title"],
         origin="synthetic",
         insertions=(),
         media=(DATASET_MEDIUM,),
-        noise=make_noise(record.noise),
+        noise=make_noise(NoiseRecord.model_validate(data["noise"])),
         pose="known",
         drop_proximal=0.0,
         path=Path(),
-        digest=digest_values(record.model_dump()),
+        digest=digest_values(data),
     )
     measurements = []
-    for number, stated in enumerate(record.insertions, start=1):
-        x = np.linspace(0.0, stated.depth_mm, math.ceil(stated.depth_mm / POINT_SPACING_MM) + 1)
+    for number, stated in enumerate(data["insertions"], start=1):
+        depth = stated["depth_mm"]
+        x = np.linspace(0.0, depth, math.ceil(depth / POINT_SPACING_MM) + 1)
         points, insertion_id = np.column_stack([x, np.zeros((len(x), 2))]), f"made-{number:02d}"
         straight = Insertion(
             id=insertion_id,
             medium=DATASET_MEDIUM,
             specimen=insertion_id,
-            needle=Needle.from_record(record.needle),
+            needle=needle,
             layers=1,
             layers_alternative=1,
-            depth=stated.depth_mm,
-            side=stated.side,
+            depth=depth,
+            side=stated.get("side", 1),
             frame=Frame(np.zeros(3), np.eye(3)),
             pose_source="stage",
             pose_shift_sd=0.0,
-            pose_angle_sd=math.radians(record.pose_angle_sd_deg),
+            pose_angle_sd=math.radians(data.get("pose_angle_sd_deg", 0.0)),
             centerline=points,
             points=points,
             boundaries=np.empty(0),
             sequence=(1,),
             boundary_sd=0.0,
-            depth_sd=record.depth_sd_mm,
-            base_moved=stated.base_moved_mm,
+            depth_sd=data.get("depth_sd_mm", 0.0),
+            base_moved=stated.get("base_moved_mm", 0.0),
         )
-        rng = random_stream(seed, name, "made", straight.id)
-        measured = simulate_measurement(dataset, straight, record.values, medium, rng)
+        rng = random_stream(seed, dataset.name, "made", straight.id)
+        measured = simulate_measurement(dataset, straight, data["values"], tissue, rng)
         if measured is None:
             raise ConfigError(
                 f"made insertion {straight.id} has no solution",
-                where=f"study {name}",
-                key="synthetic",
+                where=data["title"],
                 fix="move the base less",
             )
         measurements.append(measured)
     return replace(dataset, insertions=tuple(measurements))
 
 
-def simulate_design(problem: Problem, values: Mapping[str, float]) -> Problem | None:
-    """Return the problem with every measured shape replaced by the one that `values` (Pa, mm) give.
+MAX_PRIOR_DRAWS = 1000  # draws of the prior among which one must have a solution
 
-    Layers are those that the simulated needle meets, where the dataset has their surfaces; depths, sides,
-    poses, noise and the number of points stay. None where a needle has no solution, or leaves the medium.
+
+def simulate_from_prior(problem: Problem, seed: int) -> tuple[Floats, Problem]:
+    """Draw parameters from the prior, and simulate and measure the insertions of a problem with them.
+
+    Depths, poses and points err as the dataset states, whatever the likelihood neglects. Parameters for
+    which a needle has no solution are drawn again.
+
+    Returns
+    -------
+    theta : (P,) array
+        The true parameters.
+    Problem
+        That of inferring them: the same one, with other measured shapes.
+
+    Raises
+    ------
+    ConfigError
+        If the dataset states no noise.
+    FitError
+        If there are hardly any parameters with a solution.
     """
-    made = list[Insertion]()
-    for insertion in problem.insertions:
-        met = with_planned_layers(insertion, values, problem.medium)
-        if met is None:
-            return None
-        needle = TrueNeedle(met, predict(values, problem.medium, met))
-        measured = measure(problem.dataset, replace(insertion, sections=None), needle)
-        if measured is None:
-            return None
-        made.append(replace(measured, boundaries=met.boundaries, sequence=met.sequence))
-    return replace(problem, insertions=tuple(made))
-
-
-MAX_PRIOR_DRAWS = 1000  #: draws of the prior among which one must have a solution
-
-
-def simulate_from_prior(problem: Problem, rng: np.random.Generator) -> tuple[Floats, Problem]:
-    """Return theta (P,) drawn from the prior, and the problem of inferring it from needles simulated with it.
-
-    Raises ConfigError if the dataset states no noise; FitError if the prior hardly holds parameters that the
-    design has a solution for.
-    """
-    dataset = problem.dataset
+    dataset, rng = problem.dataset, random_stream(seed, "prior")
     if not dataset.noise_is_stated:
         raise ConfigError(
             f"the dataset `{dataset.name}` states no noise: nothing can be drawn from it",
@@ -193,18 +221,3 @@ def simulate_from_prior(problem: Problem, rng: np.random.Generator) -> tuple[Flo
         f"of {MAX_PRIOR_DRAWS} sets drawn from the prior the design has a solution for none",
         fix="narrow the bounds of the medium",
     )
-
-
-def choose_reference_values(job: Job) -> tuple[dict[str, float], str]:
-    """Return the values (Pa, mm) at which a design is evaluated, within the bounds, and their origin.
-
-    They are those of the paper's hand-tuned set, or the middle of the bounds.
-    """
-    parameters = job.parameters
-    middle = parameters.values(parameters.expected)
-    if job.hand_tuned is not None:
-        asked, words = dict(job.hand_tuned), f"the paper's parameters, set {job.record.paper_parameters}"
-    else:
-        asked, words = middle, "the middle of the bounds"
-    theta = parameters.theta({**middle, **asked})
-    return parameters.values(np.clip(theta, parameters.lower, parameters.upper)), words

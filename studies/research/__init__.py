@@ -1,0 +1,1 @@
+"""What scripts of `studies/` share: simulated needles, and quick fits. It uses names that are not public."""
