@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from needlefit.datasets.importing.kinds import KINDS, ImportedCurve, list_kinds
 from needlefit.datasets.importing.layout import lay_out
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.meanings import MEANINGS
-from needlefit.datasets.importing.stated import name_set
+from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
@@ -106,9 +107,9 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
 def read_curves(tables: Sequence[MappedTable], left_out: list[str]) -> list[ImportedCurve]:
     """Return the needles of tables of points; `left_out` gets the counts of points without a coordinate."""
     of_points = [mapped for mapped in tables if mapped.has_points]
-    curves = _join_observations([curve for mapped in of_points for curve in _read_points(mapped, left_out)])
-    _name_curves(curves)
-    return curves
+    needles = [needle for mapped in of_points for needle in _read_points(mapped, left_out)]
+    _join_observations(needles)
+    return _name_curves([needle for needle in needles if needle])
 
 
 def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surface]:
@@ -204,8 +205,8 @@ def _read_tables(path: Path, record: TableRecord) -> list[Table]:
 # ---- points
 
 
-def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedCurve]:
-    """Yield the needles of a table of points, each with the points that were measured, in their order."""
+def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[list[ImportedCurve]]:
+    """Yield the insertions of each needle of a table, with the points that were measured, in their order."""
     columns, kind = mapped.record.columns, KINDS[mapped.record.holds]
     is_angle = "tangent" in columns and "x" not in columns
     is_deflection = not is_angle and ("deflection" in columns or "x" not in columns)
@@ -215,11 +216,11 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
     axes = ["arc", "tangent"] if is_angle else [along, *across]
     mapped.require(*axes[:2])
     axes = [axis for axis in axes if axis in columns]
-    names, are_needles = mapped.names, kind.are_needles and "needle" not in columns
+    names, are_needles = mapped.names, kind.has_stops and "needle" not in columns
     are_needles |= mapped.record.layout == "wide"
     groups = group_values(((names[n], n * are_needles), n) for n in mapped.kept_rows)
     for (name, _), numbers in groups.items():
-        rows, points, missing = list[int](), list[list[float]](), 0
+        rows, points, missing, given = list[int](), list[list[float]](), 0, name or mapped.name
         for n in numbers:
             for k, texts in enumerate(zip(*(mapped.cells[axis][n] for axis in axes), strict=False)):
                 if all(texts):
@@ -229,26 +230,47 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[ImportedC
                     places = (mapped.list_columns(axis)[k : k + 1] for axis in axes)
                     missing += any(mapped.rows[n][place] for of_axis in places for place in of_axis)
         if missing:
-            left_out.append(f"{missing} of {name or mapped.name}")
+            left_out.append(f"{missing} of {given}")
         if not points:
             continue
         values = np.pad(np.array(points), ((0, 0), (0, 3 - len(axes))))
         values = integrate_angles(*values.T[:2]) if is_angle else values
-        lines = np.array([mapped.lines[n] for n in rows], dtype=np.int64) if mapped.lines else None
-        curve = ImportedCurve(
-            name or mapped.name,
-            Points(Path(mapped.where), values, lines, _read_sds(mapped, rows)),
-            kind,
-            mapped.read_facts(rows, kind.varying),
-            is_deflection=is_deflection,
-            times=mapped.read_times(rows) if is_timed else np.empty(0),
-            guide=_read_guide(mapped, rows),
-            is_named=bool(name),
-        )
-        if is_deflection:
-            curve.stated.pop("depth", None)
-        kind.read(mapped, curve, rows)
-        yield curve
+        titles, insertions = [given] * len(rows), list[ImportedCurve]()
+        if kind.has_stops:  # places in space err along the needle, too: none has the depth of another
+            titles = name_stops(titles, values[:, 0] if is_deflection else np.arange(1.0, len(rows) + 1))
+        for title, part in group_values(zip(titles, count(), strict=False)).items():
+            of_part = [rows[m] for m in part]
+            lines = np.array([mapped.lines[n] for n in of_part], dtype=np.int64) if mapped.lines else None
+            sds = _read_sds(mapped, of_part)
+            curve = ImportedCurve(
+                title,
+                Points(Path(mapped.where), values[part], lines, sds),
+                kind,
+                mapped.read_facts(of_part, kind.varying),
+                is_deflection=is_deflection,
+                times=mapped.read_times(of_part) if is_timed else np.empty(0),
+                guide=_read_guide(mapped, of_part),
+                is_named=bool(name),
+                given=given,
+                first_stop=None if is_deflection or title == given else values[0],
+            )
+            if is_deflection:
+                curve.stated.pop("depth", None)
+            if sds is not None and len(of_part) == 1:
+                curve.stated["point_sd"] = Stated("point_sd", f"{sds[0]:.6g}", "mm", curve.points.where())
+            kind.read(mapped, curve, of_part)
+            insertions.append(curve)
+        yield insertions
+
+
+def name_stops(needles: Sequence[str], depths: Iterable[float | None]) -> list[str]:
+    """Return the names of insertions: of a needle that was read at several depths each with its depth."""
+    stops = [*zip(needles, depths, strict=True)]
+    of_needles = group_values(stops)
+    return [
+        needle if depth is None or len({*of_needles[needle]}) == 1 else f"{needle}-{depth:g}"
+        for needle, depth in stops
+    ]
 
 
 def integrate_angles(arcs: Floats, degrees: Floats) -> Floats:
@@ -295,9 +317,12 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     by_specimen = record.of == "specimen"
     names = ["".join(cells) for cells in mapped.cells["specimen"]] if by_specimen else mapped.names
     if kind.placer is not None:
-        if "needle" not in record.columns:
-            names = [mapped.name for _ in names]
-        holes = _name_depths(mapped, names)
+        needles = names if "needle" in record.columns else [mapped.name for _ in names]
+        depths = [
+            mapped.read_number("depth", n) if any(c) else None for n, c in enumerate(mapped.cells["depth"])
+        ]
+        names = name_stops(needles, depths)
+        holes = {name: needle for name, needle in zip(names, needles, strict=True) if name != needle}
         taken = {curve.name for curve in curves}
         paired = pair_names(names, taken)
         for name in dict.fromkeys(name for name in names if name and name not in paired):
@@ -346,19 +371,6 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
             kind.read(mapped, curve, numbers)
 
 
-def _name_depths(mapped: MappedTable, names: list[str]) -> dict[str, str]:
-    """Name rows of a needle that was read at several depths by the depth, too; return the needle by name."""
-    if "depth" not in mapped.record.columns:
-        return {}
-    depths = ["".join(cells) for cells in mapped.cells["depth"]]
-    of_needles, needles = group_values(zip(names, depths, strict=True)), dict[str, str]()
-    for n, (name, depth) in enumerate(zip(tuple(names), depths, strict=True)):
-        if name and len({*of_needles[name]}) > 1:
-            names[n] = f"{name}-{depth}"
-            needles[names[n]] = name
-    return needles
-
-
 # ---- names
 
 
@@ -396,39 +408,43 @@ def _lacks_word(key: str, other: str) -> bool:
     return word != longer and (is_number or _WORD.fullmatch(word) is not None)
 
 
-def _join_observations(curves: Sequence[ImportedCurve]) -> list[ImportedCurve]:
-    """Return the needles; what has name and depth of a shape was measured of the same insertion.
-
-    Tips stand beside the shape, a track is a further measurement of the same hole.
-    """
-    shapes = {curve.name: curve for curve in curves if curve.kind.has_shape and curve.is_named}
-    kept = list[ImportedCurve]()
-    for curve in curves:
-        shape, depths = shapes.get(curve.name), curve.reading_depths
-        if shape is not None and shape is not curve and len(depths):
-            at_end = np.abs(shape.depth - depths) <= find_length_tolerance(float(depths[-1]))
-            is_tip = not (curve.kind.has_shape or curve.kind.is_track)
-            if at_end[-1] or (is_tip and at_end.any()):
-                shape.hole = curve.hole = curve.name
-            if is_tip:
-                shape.tips += [curve.read_tip(n) for n in np.flatnonzero(at_end).tolist()]
-                curve = replace(curve, points=curve.points.part(np.flatnonzero(~at_end)))
-        if len(curve.line):
-            kept.append(curve)
-    return kept
+def _join_observations(needles: Iterable[list[ImportedCurve]]) -> None:
+    """Give needles one hole where one has the name and depth of a shape; its tip stands beside the shape."""
+    shapes = {
+        curve.given: curve
+        for insertions in needles
+        for curve in insertions
+        if curve.kind.has_shape and curve.is_named
+    }
+    for insertions in needles:
+        for curve in tuple(insertions):
+            shape, depths = shapes.get(curve.given, curve), curve.reading_depths
+            is_end = shape is not curve and len(depths) > 0
+            if is_end and abs(shape.depth - depths[-1]) <= find_length_tolerance(float(depths[-1])):
+                for other in (shape, *insertions):
+                    other.hole = curve.given
+                if curve.kind.has_stops:
+                    shape.tips += map(curve.read_tip, range(len(curve.line)))
+                    insertions.remove(curve)
 
 
-def _name_curves(curves: list[ImportedCurve]) -> None:
-    """Give each needle an id of its own; several blocks of one table are numbered."""
-    taken, blocks = set[str](), Counter(curve.name for curve in curves if not curve.is_named)
+def _name_curves(needles: Sequence[Sequence[ImportedCurve]]) -> list[ImportedCurve]:
+    """Return the insertions, each with an id of its own; several blocks of one table are numbered."""
+    taken, blocks = set[str](), Counter(needle[0].given for needle in needles if not needle[0].is_named)
     numbers = Counter[str]()
-    for curve in curves:
-        name = curve.name
-        if not curve.is_named and blocks[name] > 1:
-            numbers[name] += 1
-            name = f"{name}-{numbers[name]}"
-        curve.given, curve.name = name, _make_name(name, taken)
-        taken.add(curve.name)
+    for first, *others in needles:
+        given = first.given
+        if not first.is_named and blocks[given] > 1:
+            numbers[given] += 1
+            given = f"{given}-{numbers[given]}"
+        taken.add(name := _make_name(given, taken))
+        for curve in (first, *others):
+            stop = curve.name.removeprefix(curve.given)
+            curve.given, curve.name = given, _make_name(f"{name}{stop}", taken) if stop else name
+            taken.add(curve.name)
+            if curve.kind.has_stops and curve.is_named:
+                curve.hole = curve.hole or name
+    return [curve for needle in needles for curve in needle]
 
 
 def _make_name(text: str, taken: Iterable[str]) -> str:

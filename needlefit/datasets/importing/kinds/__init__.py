@@ -60,6 +60,7 @@ class ImportedCurve:
     is_named: bool = True  # a cell names it; else it has the name of its file or sheet
     given: str = ""  # its name in the file, which several curves may have
     hole: str = ""  # the name that depths of one hole have together
+    first_stop: Floats | None = None  # (3,), mm; the first place of a tip that was read in several
     side: int = 1  # of its bevel, 1 or -1
     turn: float = 0.0  # rad; by which the bevel of side 1 is turned from up, about the needle
     shaft: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3), mm; points up to the entry
@@ -143,10 +144,11 @@ class ImportedCurve:
 
     @property
     def reach(self) -> float:
-        """The greatest distance of a point from the first one, about the length; 0 without points."""
+        """The greatest distance of a point from the first of its needle; 0 without points."""
         if not len(self.line):
             return 0.0
-        start = 0.0 if self.is_deflection or len(self.line) == 1 else self.line[0]
+        is_from_origin = self.is_deflection or len(self.line) == 1
+        start = self.first_stop if self.first_stop is not None else 0.0 if is_from_origin else self.line[0]
         return float(np.linalg.norm(self.line - start, axis=1).max())
 
     def read_tip(self, n: int) -> TipReading:
@@ -353,7 +355,8 @@ class RowKind:
     has_shape: bool = False  #: each needle has a centreline
     is_track: bool = False  #: needles were measured on their way, in the frame of a tracker
     is_of_each: bool = False  #: each needle needs a row
-    are_needles: bool = False  #: whether rows without a name are needles of their own
+    #: each depth of a needle is an insertion of its own, and rows without a name are needles
+    has_stops: bool = False
     placer: type[Placer] | None = None  #: places its needles; None: rows alone make no needle
     #: table, needle, its rows: adds to the needle what they state beside points
     read: Callable[[MappedTable, ImportedCurve, Sequence[int]], None] = lambda mapped, curve, rows: None

@@ -1,5 +1,6 @@
 """Tips alone: a row for each depth of a needle, with the place of its tip or the deflection."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -7,28 +8,24 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from needlefit.datasets.importing.draft_table import Columns, Records, TableDraft
-from needlefit.datasets.importing.kinds import (
-    CurveAnswers,
-    ImportedCurve,
-    Placer,
-    RowKind,
-    TipReading,
-    format_direction,
-)
-from needlefit.datasets.importing.stated import Stated, name_set
+from needlefit.datasets.importing.kinds import CurveAnswers, Placer, RowKind, TipReading, format_direction
+from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
 from needlefit.geometry.frames import make_entry_frame
-from needlefit.grouping import group_values
 
 
 class TipPlacer(Placer):
     """Places insertions by the line of insertion: along x, toward y, where nothing places the tips."""
 
     def settle_places(self) -> None:
-        """Make an insertion of each depth, and turn places of tips into deflections."""
-        split_tips(self)
+        """Turn places of tips into deflections."""
+        count = sum(len(curve.line) for curve in self.curves)
+        if count > len(self.curves):
+            self.note("tips", f"{count} readings; those of a needle at one depth are joined")
+        if max(Counter(curve.hole for curve in self.curves if curve.hole).values(), default=0) > 1:
+            self.note("hole", "readings of one needle are of one hole")
         if not all(curve.is_deflection for curve in self.curves):
             place_tips(self)
         for curve in self.curves:
@@ -37,8 +34,7 @@ class TipPlacer(Placer):
     def fill_tips(self) -> None:
         """Fill in what was measured, toward bevels and across."""
         for curve in self.curves:
-            sd = None if curve.points.sd is None else float(curve.points.sd[0])
-            curve.tips = [TipReading(curve.line[0, 1:], sd, curve.points.where())]
+            curve.tips = [*map(curve.read_tip, range(len(curve.line)))]
         add_tips(self)
         self.note_deflections()
 
@@ -59,50 +55,6 @@ class TipPlacer(Placer):
                 pose_angle_sd=float(np.radians(angle_sds[curve])),
             )
         self.meet_layers()
-
-
-def split_tips(asked: CurveAnswers) -> None:
-    """Make an insertion of each depth of a tip; those of a needle that is named are of one hole, its own.
-
-    Deflections of a needle that were read at one depth are joined; of rows without a name each is a needle.
-    """
-    stops = {curve: _list_stops(curve) for curve in asked.curves}
-    counts = [len(rows) for of_needle in stops.values() for rows in of_needle]
-    taken, insertions = {curve.name for curve in asked.others}, list[ImportedCurve]()
-    are_joined = max(counts) > 1
-    sds = asked.numbers("point_sd", is_above=True) if are_joined else {}
-    for curve, of_needle in stops.items():
-        for number, rows in enumerate(of_needle, 1):
-            name = curve.name if len(of_needle) == 1 else f"{curve.name}-{number}"
-            while name in taken:
-                name += "-2"
-            taken.add(name)
-            tip = join_readings([curve.read_tip(n) for n in rows], sds.get(curve, 0.0))
-            points = curve.points.part(np.array(rows[:1], dtype=np.int64))
-            values = np.array([[points.values[0, 0], *tip.deflection]])
-            insertion = replace(
-                curve,
-                name=name,
-                points=replace(points, values=values, sd=np.array([tip.sd]) if len(rows) > 1 else None),
-                stated={**curve.stated},
-                hole=curve.name if curve.is_named else "",
-            )
-            if len(rows) == 1 and tip.sd is not None:
-                insertion.stated["point_sd"] = Stated("point_sd", f"{tip.sd:.6g}", "mm", tip.where)
-            insertions.append(insertion)
-    if are_joined:
-        asked.note("tips", f"{sum(counts)} readings; those of a needle at one depth are joined")
-    if len(insertions) > len(asked.curves) and any(curve.hole for curve in insertions):
-        asked.note("hole", "readings of one needle are of one hole")
-    asked.curves[:] = insertions
-
-
-def _list_stops(curve: ImportedCurve) -> list[list[int]]:
-    """Return the rows of each depth of a tip."""
-    # places in space err along the needle, too: none has the depth of another
-    are_joined = curve.is_deflection and curve.is_named
-    keys = curve.line[:, 0].tolist() if are_joined else [*range(len(curve.line))]
-    return [*group_values((key, n) for n, key in enumerate(keys)).values()]
 
 
 def join_readings(tips: Sequence[TipReading], point_sd: float) -> TipReading:
@@ -128,8 +80,7 @@ def add_tips(asked: CurveAnswers) -> None:
     curves = [curve for curve in asked.curves if curve.tips]
     if not curves:
         return
-    point_sd = asked.point_sd_mm
-    tips = [join_readings(curve.tips, point_sd) for curve in curves]
+    tips = [join_readings(curve.tips, curve.point_sd) for curve in curves]
     sides = np.array([curve.side for curve in curves])
     turns = np.array([curve.turn for curve in curves])
     up, right = np.array([tip.deflection for tip in tips]).T
@@ -151,7 +102,8 @@ def add_tips(asked: CurveAnswers) -> None:
             where=tips[0].where,
         )
     for curve, tip, y, z in zip(curves, tips, up.tolist(), right.tolist(), strict=True):
-        curve.fill(tip_y=y, tip_z=z if in_space else None, tip_sd=tip.sd)
+        sd = None if tip.sd == curve.point_sd else tip.sd
+        curve.fill(tip_y=y, tip_z=z if in_space else None, tip_sd=sd)
 
 
 def place_tips(asked: CurveAnswers) -> None:
@@ -193,7 +145,7 @@ TIPS = RowKind(
     propose_tips,
     4,
     has_points=True,
-    are_needles=True,
+    has_stops=True,
     placer=TipPlacer,
     complete=complete_tips,
 )
