@@ -2,14 +2,31 @@
 
 import math
 from collections.abc import Sequence
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.compared import MIN_BEND_SLOPE, SIGNIFICANT_SD, compute_deflection_sd
+from needlefit.datasets.compared import (
+    MIN_BEND_SLOPE,
+    SIGNIFICANT_SD,
+    compute_deflection_sd,
+    compute_plane_sd,
+)
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.geometry.common_direction import fit_direction
+
+
+class BendSide(StrEnum):
+    """To which side of its bevel a needle bends, in the words of tables."""
+
+    TOWARD = "toward"
+    AWAY = "AWAY"
+    ACROSS = "ACROSS"
+    UNCLEAR = "not clear"
+    TURNED = "(turned)"
+    FREE = "(free shape)"
 
 
 class Bend(NamedTuple):
@@ -17,6 +34,14 @@ class Bend(NamedTuple):
 
     toward_mm: float = math.nan
     limit_mm: float = math.nan  #: beyond which it is no error, either way
+    is_from_fitted: bool = False  #: from the direction that fits all needles, not from its line of insertion
+    special: BendSide | None = None  #: across, turned or free, whatever its distance
+
+    @property
+    def side(self) -> BendSide:
+        """To which side it bends."""
+        clear = BendSide.TOWARD if self.is_toward else BendSide.AWAY if self.is_away else BendSide.UNCLEAR
+        return self.special or clear
 
     @property
     def is_toward(self) -> bool:
@@ -34,7 +59,10 @@ def measure_bends(insertions: Sequence[Insertion], noise: Noise) -> list[Bend]:
 
     Of free shapes the deflection from the direction that fits all of them shows it.
     """
-    bends = [_measure_bend(insertion, noise) for insertion in insertions]
+    bends = [
+        _measure_bend(insertion, noise)._replace(special=_find_special(insertion, noise))
+        for insertion in insertions
+    ]
     facing = {n: bevel for n, one in enumerate(insertions) if (bevel := _find_facing(one)) is not None}
     fitted = fit_direction([insertions[n].centerline for n in facing])
     if fitted is None:
@@ -47,8 +75,24 @@ def measure_bends(insertions: Sequence[Insertion], noise: Noise) -> list[Bend]:
         turn = math.radians(math.hypot(fitted.sd_deg, fitted.scatter_deg))
         point_sd = math.sqrt(2) * math.hypot(noise.of(one).point_sd, noise.correlated_sd)
         limit = max(MIN_BEND_SLOPE * length, SIGNIFICANT_SD * math.hypot(point_sd, length * turn))
-        bends[n] = Bend(deflection, limit)
+        bends[n] = Bend(deflection, limit, is_from_fitted=True)
     return bends
+
+
+def _find_special(insertion: Insertion, noise: Noise) -> BendSide | None:
+    """Return that a needle was turned, has no frame, or bends across the plane of its bevel; None if not.
+
+    Across, its tip is further out of the plane than in it, and than errors explain.
+    """
+    if insertion.turns:
+        return BendSide.TURNED
+    if insertion.in_tracker_frame:
+        return None
+    if not insertion.is_posed:
+        return BendSide.FREE if insertion.bevel is None else None
+    beside, out = np.abs(insertion.points[-1, 1:])
+    is_across = out > max(beside, SIGNIFICANT_SD * compute_plane_sd(insertion, noise))
+    return BendSide.ACROSS if is_across else None
 
 
 def _find_facing(insertion: Insertion) -> Floats | None:

@@ -1,6 +1,5 @@
 """Show what an import understood: a table of its needles, and a picture of them in both frames."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -13,15 +12,14 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
-from needlefit.datasets.bend_sides import Bend, measure_bends
-from needlefit.datasets.compared import SIGNIFICANT_SD, compute_plane_sd
+from needlefit.datasets.bend_sides import Bend, BendSide, measure_bends
 from needlefit.datasets.first_study import write_first_runs
 from needlefit.datasets.importing.mapped_table import MappedTable
 from needlefit.datasets.importing.meanings import COORDINATES, MEANINGS, VALUES
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.prepare import PreparedImport
 from needlefit.datasets.importing.writing import CURVATURE_FILE, TRACKS_FILE, TURNS_FILE, write_plan
-from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.record_warnings import MAPPING_FILE
 from needlefit.geometry.surfaces import Surface
 from needlefit.grouping import group_values
@@ -78,21 +76,14 @@ def find_not_imported(folder: Path) -> list[str]:
 def tabulate_needles(dataset: Dataset) -> pd.DataFrame:
     """Return one row for each insertion: points or sensors, depth, deflection, entry, layers, bevel."""
     bends = measure_bends(dataset.insertions, dataset.noise)
-    across = [_bends_across(insertion, dataset.noise) for insertion in dataset.insertions]
-    return pd.DataFrame([*map(_describe_needle, dataset.insertions, bends, across)])
-
-
-def _bends_across(insertion: Insertion, noise: Noise) -> bool:
-    """Return whether a tip lies out of the plane of its bevel, by more than errors and than in the plane."""
-    beside, out = np.abs(insertion.points[-1, 1:])
-    limit = SIGNIFICANT_SD * compute_plane_sd(insertion, noise)
-    return bool(insertion.is_posed and out > max(beside, limit))
+    return pd.DataFrame([*map(_describe_needle, dataset.insertions, bends)])
 
 
 def explain_unclear(dataset: Dataset) -> str:
     """Return what bends that are not clear were compared with, and how to state a side; "" without any."""
     bends = measure_bends(dataset.insertions, dataset.noise)
-    limits = [f"{bend.limit_mm:.2g}" for bend in bends if abs(bend.toward_mm) <= bend.limit_mm]
+    unclear = (bend.limit_mm for bend in bends if bend.side is BendSide.UNCLEAR and bend.limit_mm > 0)
+    limits = [f"{limit_mm:.2g}" for limit_mm in unclear]
     if not limits:
         return ""
     ends = " to ".join(dict.fromkeys([min(limits, key=float), max(limits, key=float)]))
@@ -102,27 +93,21 @@ def explain_unclear(dataset: Dataset) -> str:
     )
 
 
-def _describe_needle(insertion: Insertion, bend: Bend, is_across: bool) -> dict[str, object]:
+def _describe_needle(insertion: Insertion, bend: Bend) -> dict[str, object]:
     entry, tip = insertion.centerline[0], insertion.centerline[-1]
     depths = ", ".join(f"{depth:.1f}" for depth in insertion.boundaries)
-    side = "toward" if bend.is_toward else "AWAY" if bend.is_away else "not clear"
-    side = "ACROSS" if is_across and not insertion.in_tracker_frame else side
-    if not (insertion.in_tracker_frame or insertion.is_posed or insertion.bevel is not None):
-        side = "(free shape)"
-    side = "(turned)" if insertion.turns else side
-    # of free shapes from the direction that fits all: their own first direction is hardly known
-    is_free = not (insertion.is_posed or insertion.in_tracker_frame or math.isnan(bend.toward_mm))
     sensors = 0 if insertion.curvature is None else len(insertion.curvature)
     counts = {"tip": 1 + sensors, "curvature": sensors}
     row: dict[str, object] = {
         "insertion": insertion.id,
         "points": counts.get(insertion.observation, len(insertion.centerline)),
         "depth (mm)": round(insertion.depth, 2),
-        "deflection (mm)": round(bend.toward_mm if is_free else insertion.deflection, 2),
+        # the first direction of a free shape is hardly known
+        "deflection (mm)": round(bend.toward_mm if bend.is_from_fitted else insertion.deflection, 2),
         "entry x, y, z (mm)": _format_point(entry),
         "tip x, y, z (mm)": _format_point(tip),
         "layers": " > ".join(map(str, insertion.sequence)) + (f" at {depths} mm" if depths else ""),
-        "bends, from its bevel": side,
+        "bends, from its bevel": str(bend.side),
     }
     hidden = [*row][4:-1] if insertion.in_tracker_frame else ()  # which no scan has
     return {name: cell for name, cell in row.items() if name not in hidden}
