@@ -62,7 +62,6 @@ from needlefit.schemas.mapping import TableRecord
 
 # how names of sheets of the workbook to fill in begin
 EXAMPLE_SHEET, SETUP_SHEET, GUIDE_SHEET = "example", "setup", "read me"
-MAPPING_TEXTS = ("title", "source", "license", "entry", "bevel", "guide")  # values that are no columns
 
 
 _PAIR = re.compile(r"\d *(?:±|\+/-) *[\d.]")  # `0.6 ± 0.1`
@@ -288,8 +287,8 @@ def _draft_values(grid: Table, keys: Keys, draft: Draft) -> None:
         key = key if key in VALUES or key == "origin" else name.meaning
         if key == "origin":
             draft.origin = draft.origin or text
-        elif key in MAPPING_TEXTS:
-            draft.values.setdefault(key, text)
+        elif key in VALUES and VALUES[key].of != "needle":  # no column states it
+            draft.values.setdefault(key, f"{text} {unit}".strip())
         elif key not in (*VALUES, *NAMED_BY_LAYER):
             draft.unused.append((f"row {header} = {text}", Path(grid.where).name))
         elif key not in draft.values:

@@ -29,7 +29,7 @@ class Meaning(NamedTuple):
     reason: str = ""
     likely: tuple[float, ...] = ()  # least and greatest number (in `unit`) that is believed without a unit
     choices: tuple[str, ...] = ()  # all values that it may have; none: any
-    of_all: bool = False  # no needle has a cell of its own
+    of: str = "needle"  # whose it is: of each needle, of `all`, of the `import`, or of the `dataset`
     #: what several columns of it are: `names` that are joined, `axes`, `layers`; of places along a needle, in
     #: one row, the `points` or the `sensors`
     parts: str = ""
@@ -57,7 +57,7 @@ MEANINGS = MappingProxyType({**VALUES, **ROWS})
 QUESTIONS = MappingProxyType({key: QuestionText(**parts) for key, parts in _FILE["questions"].items()})
 
 #: what is stated of a needle
-ATTRIBUTES = ("depth", "thickness", *(key for key, meaning in VALUES.items() if not meaning.of_all))
+ATTRIBUTES = ("depth", "thickness", *(key for key, meaning in VALUES.items() if meaning.of == "needle"))
 COORDINATES = (*(key for key, row in ROWS.items() if row.parts == "points"), "guide")
 """In the unit of points."""
 SENSOR_PLACES = ("sensor_from_base", "sensor")  #: meanings of the places of curvature sensors

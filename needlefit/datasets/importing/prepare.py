@@ -50,7 +50,6 @@ WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
 POINT_DECIMALS = 3  # decimals (of mm) by which examples are recognised: another unit rounds them otherwise
 Places = frozenset[tuple[float, ...]]
 DRAFT = "the draft of the mapping"  #: its place in messages
-OF_IMPORT = ("lengths", "leave_out", "title", "source", "license")  # values that are not of needles
 DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")  # assumptions that are listed first
 
 
@@ -147,8 +146,9 @@ def _plan(record: MappingRecord, files: Sequence[Path], where: str, unused: Pair
     cells = [curve.stated for curve in content.curves]
     settler = Settler(values, assumed, cells, is_complete=where != DRAFT and not record.is_draft)
     plan = ImportPlan(content, settler)
+    others = {key for key, meaning in VALUES.items() if meaning.of in ("import", "dataset")}
     for key in record.values:
-        if key not in (*record.assumed, *settler.used, *OF_IMPORT):
+        if key not in {*record.assumed, *settler.used, *others}:
             settler.note(key, "not used: nothing of these needles depends on it")
     assumed = {key: assumed[key] for key in dict.fromkeys((*DECISIVE, *assumed)) if key in assumed}
     origin = "example" if examples else record.origin

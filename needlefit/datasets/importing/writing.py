@@ -9,6 +9,7 @@ import pandas as pd
 from needlefit.datasets.columns import HOLE_COLUMN, NEEDLE_COLUMN, POINT_SD_COLUMN, make_id
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.kinds import ImportedCurve
+from needlefit.datasets.importing.meanings import VALUES
 from needlefit.datasets.importing.place import ImportPlan
 from needlefit.datasets.importing.read import ImportContent, make_unique
 from needlefit.datasets.importing.stated import name_set
@@ -27,7 +28,6 @@ TURNS_FILE = "turns.csv"
 CURVATURE_FILE = "curvature.csv"
 TRACK_COLUMNS = ("depth_mm", "tip_mm", "tip_z_mm", "guide_mm", "guide_z_mm")
 OPTIONAL = (NEEDLE_COLUMN, HOLE_COLUMN, "bevel_roll_deg", POINT_SD_COLUMN, *TRACK_COLUMNS[2:])
-TEXTS = ("title", "source", "license")  # values of a mapping that are keys of a dataset
 _NOTE = (
     f"# Made by `needlefit import`; {MAPPING_FILE} states how the files were read, and what was assumed.\n"
 )
@@ -56,7 +56,9 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
             "note": f"see {MAPPING_FILE}",
         },
         "import": imported.model_dump(),
-        **{key: mapping.values[key] for key in TEXTS if key in mapping.values},
+        **{
+            key: text for key, text in mapping.values.items() if key in VALUES and VALUES[key].of == "dataset"
+        },
     }
     if plan.needles:
         draft["needles"] = {name: needle.model_dump() for name, needle in plan.needles.items()}
