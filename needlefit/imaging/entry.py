@@ -54,7 +54,7 @@ def pose_from_stage(stage: StagePose, registration: Registration | None, patient
     shift, turn = np.zeros((2, 3, 3))
     if registration is not None:
         shift = target_covariance(registration, patient_entry[None])[0]
-        turn = registration.covariance[:3, :3]
+        turn = registration.turn_covariance
     along, along_turn = (float(way @ one @ way) for one in (shift, turn))
     return EntryPose(
         origin=stage.entry,

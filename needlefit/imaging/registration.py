@@ -5,10 +5,10 @@ other is nearly as likely. Two pairings of as many pairs differ in likelihood by
 a rotation and a translation; a reflection that fits more markers is refused. RAS read as LPS is a turn,
 which only another set of markers in the same frame shows (`check_axis_signs`).
 
-A small motion theta = (turn, shift) about a centre c moves a world point p by J theta, J = [-[p - c]x, I].
-Markers i of deviations sigma_i give to first order
+The motion errs by a small turn about the weighted mean c of the markers and a shift, independent to first
+order. Markers at a_i from c, of deviations sigma_i, give
 
-    cov(theta) = (sum J_i^T J_i / sigma_i^2)^-1,        cov(error at p) = J cov(theta) J^T,
+    cov(turn) = (sum (|a_i|^2 I - a_i a_i^T) / sigma_i^2)^-1,        cov(shift) = I / sum 1 / sigma_i^2,
 
 with equal deviations eq. 46 of J. M. Fitzpatrick et al., IEEE Trans. Med. Imaging 17 (1998) 694-702.
 """
@@ -46,9 +46,9 @@ class Registration:
     expected_fre: float  # what the stated noise leads one to expect of it, mm
     chi2: float  # sum of squared residuals over their variances; 3 P - 6 on average
     p_value: float  # probability that the stated noise leaves residuals at least as large
-    # (3,); the point of the world about which `covariance` counts: the mean of the paired known markers, mm.
-    centre: Floats
-    covariance: Floats  # (6, 6); of turn (rad) and shift (mm) about `centre`, world axes, first order
+    centre: Floats  # (3,); weighted mean of the paired known markers, about which the turn errs, mm
+    turn_covariance: Floats  # (3, 3); of the turn, world axes, rad^2; not finite for markers on a line
+    shift_variance: float  # of the shift in any one direction, mm^2
     known: int = 0  # number of the known markers, paired or not
     warnings: tuple[str, ...] = ()  # what a person should know; empty if all is as expected
 
@@ -80,11 +80,11 @@ def register(
     best, *others = fit_pairings(here, there, variance)
     sd = float(np.sqrt(variance[tuple(best.pairs.T)].max()))
     # the turn about a line through all markers is known to their deviation over their distance from it
-    turn = np.sqrt(np.linalg.eigvalsh(best.covariance[:3, :3])[-1])
+    turn = float(np.fmin(np.sqrt(np.trace(best.turn_covariance)), np.pi))
     if turn > MAX_TURN_SD_RAD:
         raise DataError(
             f"{len(best.pairs)} markers lie on a line, or their deviation of {sd:.3g} mm is large against "
-            f"their layout: the turn about it is known to ± {np.degrees(min(turn, np.pi)):.0f} degrees only",
+            f"their layout: the turn about it is known to ± {np.degrees(turn):.0f} degrees only",
             expected="three or more markers, one of them well beside the line through the others",
             fix="use markers off that line, or correct reference_sd_mm and fiducial_sd_mm of the recipe (mm, "
             "per direction)",
@@ -178,37 +178,32 @@ def align(found: Floats, known: Floats, variance: Floats, pairs: Ints) -> Regist
     here, there = (np.average(points, axis=0, weights=weights) for points in (found[i], known[j]))
     with warnings.catch_warnings():  # of points on a line, which are refused later
         warnings.simplefilter("ignore", UserWarning)
-        rotation = Rotation.align_vectors(known[j] - there, found[i] - here, weights)[0].as_matrix()
+        turn, distance, sensitivity = Rotation.align_vectors(
+            known[j] - there, found[i] - here, weights, return_sensitivity=True
+        )
+    rotation = turn.as_matrix()
     frame = Frame(there - rotation @ here, rotation)
-    placed, centre = frame.to_world(found[i]), known[j].mean(axis=0)
-    residuals, moved = known[j] - placed, motion_jacobian(placed - centre)
-    freedom, squares = 3 * len(pairs) - 6, np.sum(residuals**2, axis=1)
-    chi2 = float(weights @ squares)
+    residuals, freedom, chi2 = known[j] - frame.to_world(found[i]), 3 * len(pairs) - 6, float(distance) ** 2
     return Registration(
         frame=frame,
         pairs=pairs,
         residuals=residuals,
-        fre=float(np.sqrt(np.mean(squares))),
+        fre=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
         expected_fre=float(np.sqrt(freedom / len(pairs) * np.mean(1 / weights))),
         chi2=chi2,
         p_value=float(chdtrc(freedom, chi2)),
-        centre=centre,
-        # of points on a line, which are refused later, one turn is not known at all
-        covariance=np.linalg.inv(np.einsum("nia,n,nib->ab", moved, weights, moved) + 1e-12 * np.eye(6)),
+        centre=there,
+        turn_covariance=sensitivity / weights.mean(),
+        shift_variance=float(1 / weights.sum()),
     )
-
-
-def motion_jacobian(arms: ArrayLike) -> Floats:
-    """Return J (N, 3, 6): motion of points at `arms` (N, 3) from the centre by turn (rad) and shift (mm)."""
-    turned = np.cross(np.eye(3), np.asarray(arms, dtype=np.float64)[:, None])  # by each axis
-    shifted = np.broadcast_to(np.eye(3), turned.shape)
-    return np.concatenate([np.swapaxes(turned, 1, 2), shifted], axis=2)
 
 
 def target_covariance(registration: Registration, points: ArrayLike) -> Floats:
     """Return the covariance (N, 3, 3), mm^2, world axes, of the error at scan `points` (N, 3)."""
-    moved = motion_jacobian(registration.frame.to_world(points) - registration.centre)
-    return moved @ registration.covariance @ np.swapaxes(moved, -1, -2)
+    arms = registration.frame.to_world(points) - registration.centre
+    turned = np.cross(np.eye(3), arms[:, None])  # (N, 3, 3); how a turn about each axis moves the points
+    covariance = np.swapaxes(turned, 1, 2) @ registration.turn_covariance @ turned
+    return covariance + registration.shift_variance * np.eye(3)
 
 
 def predict_mean_target_error(registration: Registration, points: ArrayLike) -> Floats:
