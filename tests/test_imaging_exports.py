@@ -69,7 +69,7 @@ def test_archives_of_series_and_of_image_files(tmp_path):
     inner = pack(tmp_path / "inner.zip", save(tmp_path / "series", series()))
     assert np.array_equal(read_volume(inner).values, NUMBERS)
     outer = pack(tmp_path / "outer.zip", [("a/inner.zip", inner.read_bytes())])
-    assert "a/inner.zip" in refused(outer).what and "series" not in refused(outer).what
+    assert "no series" in refused(outer).what
     (tmp_path := tmp_path / "b").mkdir()
     volume = Volume(NUMBERS.astype(np.float32), np.zeros(3), np.ones(3), np.eye(3))
     write_volume(volume, tmp_path / "a.nrrd")

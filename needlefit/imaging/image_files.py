@@ -22,6 +22,7 @@ from needlefit.imaging.volume import READABLE_VOLUMES, VoxelGrid, check_grid, fi
 from needlefit.project.reader_process import Arrays, Planes, allow_memory
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
+READER_ERRORS = (ImageFileError, HeaderDataError, ValueError, AssertionError, RuntimeError, OSError, EOFError)
 # What reads a file's voxels (K, J, I), its grid, the bytes of a voxel, and texts of its header by their keys.
 Image = tuple[Callable[[], NDArray[Any]], VoxelGrid, int, dict[str, str]]
 
@@ -41,25 +42,18 @@ def read_image(arrays: Arrays, path: str, labels: bool = False) -> dict[str, Any
         is_itk = file.suffix.lower() in IMAGE_IOS
         try:
             read, grid, voxel_bytes, texts = _open_itk(file) if is_itk else _open_nifti(file)
-        except (ImageFileError, HeaderDataError, ValueError, AssertionError, RuntimeError) as error:
-            raise DataError(
-                f"cannot be read as a volume: {_last_line(error)}",
-                expected=f"three dimensions, one number a voxel; {READABLE_VOLUMES}",
-                fix="check that the file is whole and its name ends as its format wants; export all slices "
-                "as one "
-                "volume, of several time points one; of segments that overlap: set Modify other segments to "
-                "Overwrite all in the Segment Editor, and save again",
-            ) from error
-        check_grid(grid)
-        # voxels packed, a buffer, and an array of them or of single precision
-        allow_memory(math.prod(grid.size) * (3 * voxel_bytes + 8))
-        try:
+            check_grid(grid)
+            # voxels packed, a buffer, and an array of them or of single precision
+            allow_memory(math.prod(grid.size) * (3 * voxel_bytes + 8))
             values = read()
-        except (RuntimeError, OSError, EOFError, ValueError) as error:
+        except READER_ERRORS as error:
             raise DataError(
-                f"its header is sound, but its voxels are damaged or not all there ({_last_line(error)})",
-                expected="all voxels that the header promises, in this file or the one that it names",
-                fix="the file is cut short or damaged: copy it or export it again",
+                f"cannot be read as a volume, or its voxels are not all there: {_last_line(error)}",
+                expected=f"three dimensions, one number a voxel; {READABLE_VOLUMES}",
+                fix="check that the file is not cut short, with the file of voxels that it may name, and its "
+                "name ends as its format wants; export all slices as one volume, of several time points one; "
+                "of segments that overlap: set Modify other segments to Overwrite all in the Segment Editor, "
+                "and save again",
             ) from error
         notes = fill_unknown(values, grid, labels=labels)
         arrays["values"] = values.view(Planes)

@@ -9,7 +9,7 @@ import numpy as np
 
 from needlefit.errors import DataError, located
 from needlefit.imaging.volume import Volume
-from needlefit.imaging.volume_files import is_image_file, open_member, read_labels_file
+from needlefit.imaging.volume_files import is_image_file, open_member, read_image_file
 
 EXPECTED_LABELS = (
     "a .seg.nrrd, or another volume (NRRD, NIfTI, MetaImage) of a whole number for each voxel's layer, 0 "
@@ -48,7 +48,7 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
     with open_member(path) as place, located(place):
         if not is_image_file(place):
             raise DataError("is no label map", expected=EXPECTED_LABELS, fix=SAVE_FIX)
-        volume, texts = read_labels_file(place)
+        volume, texts = read_image_file(place, labels=True)
         present = sorted(set().union(*(np.unique(plane).tolist() for plane in volume.values)) - {0.0})
         are_labels = all(0 < value < 2**16 and value.is_integer() for value in present)
         if not are_labels or not 1 <= len(present) <= np.iinfo(np.uint8).max:

@@ -18,14 +18,7 @@ from needlefit.imaging.volume import (
     max_voxels,
 )
 from needlefit.project.folders import MAX_LISTED_FILES
-from needlefit.project.input_files import (
-    MAX_FOLDER_FILES,
-    is_dir,
-    is_file,
-    list_files,
-    open_regular,
-    path_exists,
-)
+from needlefit.project.input_files import is_dir, is_file, list_files, open_regular, path_exists
 from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process
 
 CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
@@ -51,7 +44,7 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
             if series:
                 fix = "leave out series"
                 raise DataError("it is one image", expected="a DICOM series", fix=fix, where=path)
-            return _read_image(place, labels=False)[0]
+            return read_image_file(place)[0]
         arguments = {"path": str(place), "series": series}
         reader = "needlefit.imaging.dicom:read_series"
         notes, arrays = read_in_process(reader, place, arguments, seconds=READ_SECONDS)
@@ -90,14 +83,10 @@ def unpack_scan(_arrays: Arrays, path: str, folder: str, total_bytes: int) -> No
     with open_regular(Path(path), sys.maxsize) as file, zipfile.ZipFile(file) as archive:
         members = archive.infolist()
         size = sum(member.file_size for member in members)
-        problems = {
-            f"unpacks to more than {total_bytes / 2**20:.0f} MiB": size > total_bytes,
-            f"holds {len(members)} files": len(members) > MAX_FOLDER_FILES,
-            "is encrypted": any(member.flag_bits & 1 for member in members),
-        }
-        for problem in (problem for problem, is_so in problems.items() if is_so):
+        is_encrypted = any(member.flag_bits & 1 for member in members)
+        if is_encrypted or size > total_bytes:
             raise DataError(
-                problem,
+                "is encrypted" if is_encrypted else f"unpacks to more than {total_bytes / 2**20:.0f} MiB",
                 expected="a ZIP archive of one scan",
                 fix="pack it again, or unpack it and name the folder; "
                 f"{MEMORY_VARIABLE} grants more than the default",
@@ -110,24 +99,17 @@ def _choose_member(folder: Path, series: str | None) -> Path:
     """Return what is meant in an unpacked archive: an image file, or the folder of a DICOM series."""
     files = list_files(folder)
     images = [file for file in files if is_image_file(file)]
-    inner = [file for file in files if file.name.lower().endswith(ARCHIVE_SUFFIX)]
-    if not inner and (series is not None or not images):
+    if series is not None or not images:
         return folder
-    if inner or len(images) > 1 or any(map(begins_as_dicom, files)):
-        names = ", ".join(str(file.relative_to(folder)) for file in (inner or files)[:MAX_LISTED_FILES])
+    if len(images) > 1 or any(map(begins_as_dicom, files)):
+        names = ", ".join(str(file.relative_to(folder)) for file in files[:MAX_LISTED_FILES])
         raise DataError(
-            f"holds {'ZIP archives' if inner else f'{len(files)} files'}: {names}",
+            f"holds {len(files)} files: {names}",
             expected="one image file, or DICOM files alone",
             fix="unpack it and name the scan's file or folder; of DICOM give the series with --series",
             where=folder,
         )
     return images[0]
-
-
-def read_labels_file(path: Path) -> tuple[Volume, dict[str, str]]:
-    """Read an image file of labels; see `read_volume`. Also the texts of its header about segments."""
-    with explain_missing_packages(*CT_PACKAGES):
-        return _read_image(path, labels=True)
 
 
 def list_series_files(path: Path) -> list[Path]:
@@ -144,14 +126,16 @@ def is_image_file(place: Path) -> bool:
     return not place.is_dir() and place.name.lower().endswith(IMAGE_SUFFIXES)
 
 
-def _read_image(path: Path, labels: bool) -> tuple[Volume, dict[str, str]]:
-    """Return the volume in an image file, and texts of its header."""
-    with open_regular(path, sys.maxsize):  # no device or pipe, at which a library would wait
-        pass
-    arguments = {"path": str(path), "labels": labels}
-    reader = "needlefit.imaging.image_files:read_image"
-    header, arrays = read_in_process(reader, path, arguments, seconds=READ_SECONDS)
-    return Volume(**arrays, warnings=tuple(header["warnings"])), header["texts"]
+def read_image_file(path: Path, labels: bool = False) -> tuple[Volume, dict[str, str]]:
+    """Read the volume, or the labels, in an image file, and the texts of its header about segments.
+
+    DataError and ConfigError as `read_volume`.
+    """
+    with open_regular(path, sys.maxsize), explain_missing_packages(*CT_PACKAGES):  # no device or pipe
+        arguments = {"path": str(path), "labels": labels}
+        reader = "needlefit.imaging.image_files:read_image"
+        header, arrays = read_in_process(reader, path, arguments, seconds=READ_SECONDS)
+        return Volume(**arrays, warnings=tuple(header["warnings"])), header["texts"]
 
 
 @contextmanager
