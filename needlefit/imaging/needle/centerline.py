@@ -18,7 +18,7 @@ from needlefit.imaging.needle.axis_spline import (
     axis_sd,
     disc_points,
     extend_axis,
-    find_centroids,
+    find_sections,
     fit_axis,
     sample_planes,
 )
@@ -162,16 +162,13 @@ def refine_axis(
 
     The tip is where the axis ends, unless it is given, mm along it.
     """
-    plane = disc_points(MM.PATCH)
     stop = max((axis.length if tip is None else tip) - heel, 8 * MM.STATION)
     for round_ in range(ROUNDS):
         s = np.arange(0.0, stop, MM.STATION)
-        values = sample_planes(volume, axis_frames(axis, s), plane)
-        valid = np.isfinite(values).mean(axis=1) >= PART.SHOWN
-        where = axis_frames(axis, s[valid])
-        across, amplitude = find_centroids(values[valid], plane, recipe.needle.diameter_mm)
-        good = np.linalg.norm(across, axis=1) < recipe.needle.diameter_mm / (1 if round_ == 0 else 2)
-        faint = PART.FAINT * np.median(amplitude) if len(amplitude) else np.inf
+        where = axis_frames(axis, s)
+        shifts, amplitude, _ = find_sections(volume, where, recipe.needle.diameter_mm)
+        good = np.linalg.norm(shifts, axis=1) < recipe.needle.diameter_mm / (1 if round_ == 0 else 2)
+        faint = PART.FAINT * np.median(amplitude[amplitude > 0]) if amplitude.any() else np.inf
         if recipe.guide.thickness_mm:  # as bright as the needle, it leaves little of its contrast
             faint = min(faint, HU.METAL_CONTRAST / 2)
         good &= amplitude > faint
@@ -181,7 +178,7 @@ def refine_axis(
                 expected=f"{FEWEST} or more",
                 fix="check the mask, or scan more of the needle",
             )
-        points = (where.origins + across[:, :1] * where.u + across[:, 1:] * where.v)[good]
+        points = (where.origins + shifts)[good]
         s = arc_length(points)
         axis = fit_axis(s, points, np.ones(len(s)), MM.KNOT, s[-1] + heel)
         stop = axis.length + 1e-6

@@ -14,11 +14,9 @@ from needlefit.imaging.needle.axis_spline import (
     FEWEST,
     ROUNDS,
     AxisSpline,
-    disc_points,
-    find_centroids,
+    find_sections,
     fit_axis,
     frames_along,
-    sample_planes,
 )
 from needlefit.imaging.needle.segmentation import Component, measure_component, principal_axes
 from needlefit.imaging.volume import Volume, to_index, to_patient
@@ -87,7 +85,7 @@ def _follow(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> Axi
     count = max(2, round(float(s[-1]) / STEP_MM) + 1)
     places = PchipInterpolator(s, points)(np.linspace(0.0, s[-1], count))
     for _ in range(ROUNDS):  # to the needle's middle; where it is faint they stay
-        shifts, amplitude, _ = _look_across(volume, places, recipe)
+        shifts, amplitude, _ = find_sections(volume, frames_along(places), recipe.needle.diameter_mm)
         shown = amplitude > PART.FAINT * np.median(amplitude)
         places = places + np.where(shown[:, None], shifts, 0.0)
     level = float(np.median(amplitude))
@@ -114,21 +112,6 @@ def select_axis_voxels(volume: Volume, axis: AxisSpline) -> Component:
     return measure_component(volume, index[inside])
 
 
-def _look_across(
-    volume: Volume, places: Floats, recipe: ReconstructionRecord
-) -> tuple[Floats, Floats, Floats]:
-    """Return by how much the needle lies beside places (N, 3), mm, amplitude and surroundings, HU."""
-    where = frames_along(places)
-    plane = disc_points(MM.PATCH)
-    values = sample_planes(volume, where, plane)
-    inside = ~np.isnan(values.sum(axis=1))
-    values = np.nan_to_num(values)
-    across, amplitude = find_centroids(values, plane, recipe.needle.diameter_mm)
-    around = np.median(values[:, np.hypot(*plane.T) > MM.RIM], axis=1)
-    shifts = across[:, :1] * where.u + across[:, 1:] * where.v
-    return np.where(inside[:, None], shifts, 0.0), np.where(inside, amplitude, 0.0), around
-
-
 def _extend(volume: Volume, places: Floats, level: float, recipe: ReconstructionRecord) -> Iterator[Floats]:
     """Yield the places of the needle beyond the last of `places` (N, 3), until it is faint or ends.
 
@@ -143,7 +126,8 @@ def _extend(volume: Volume, places: Floats, level: float, recipe: Reconstruction
         way *= np.sign(way @ (recent[-1] - recent[0]))
         start = recent.mean(axis=0) + way * ((recent[-1] - recent.mean(axis=0)) @ way)
         here = start + way * (STEP_MM + faint + hidden)
-        shifts, amplitude, around = _look_across(volume, np.stack([here - way, here, here + way]), recipe)
+        where = frames_along(np.stack([here - way, here, here + way]))
+        shifts, amplitude, around = find_sections(volume, where, recipe.needle.diameter_mm)
         beside = float(np.linalg.norm(shifts[1]))
         if (
             amplitude[1] > min(PART.FAINT * level, HU.METAL_CONTRAST / 2)
