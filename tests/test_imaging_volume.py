@@ -16,7 +16,7 @@ from scanner.write import write_volume
 
 from needlefit.errors import DataError
 from needlefit.imaging.volume import Volume, doubt_air, explain_refusal, to_index, to_patient
-from needlefit.imaging.volume_files import read_volume
+from needlefit.imaging.volume_files import list_series_files, read_volume
 
 pytestmark = pytest.mark.usefixtures("read_here")
 
@@ -194,6 +194,7 @@ def test_a_header_with_detached_voxels_and_non_finite_values(tmp_path):
     assert "not all there" in refused(path).what
     (tmp_path / "gone.raw").write_bytes(VALUES.tobytes())
     check_plain(read_volume(path))
+    assert list_series_files(path) == [path, tmp_path / "gone.raw"]
     values = VALUES.astype(np.float32)
     values[0, 0, :2] = np.nan, np.inf
     fault = refused(nrrd(tmp_path / "a.nrrd", values, type="float"))

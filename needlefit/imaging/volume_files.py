@@ -1,5 +1,7 @@
 """Read CT volumes: DICOM series, NRRD, NIfTI and MetaImage files, and ZIP archives of them."""
 
+import os
+import re
 import sys
 import zipfile
 from collections.abc import Iterator
@@ -22,6 +24,9 @@ from needlefit.project.input_files import is_dir, is_file, list_files, open_regu
 from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process
 
 CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
+DETACHED_SUFFIXES = (".nhdr", ".mhd")
+DATA_FILE = re.compile(rb"^(?:data ?file|ElementDataFile)\s*[:=]\s*(.*\S)", re.IGNORECASE | re.MULTILINE)
+MAX_HEADER_BYTES = 2**16  # of such a file
 READ_SECONDS = 600.0  # of the processor, within which a file must be read: a damaged one may never end
 
 
@@ -113,9 +118,16 @@ def _choose_member(folder: Path, series: str | None) -> Path:
 
 
 def list_series_files(path: Path) -> list[Path]:
-    """Return the files that may be read for a path, sorted: in and below a folder, or beside a DICOM file."""
+    """Return the files that may be read for a path, sorted: in and below a folder, or beside a DICOM file.
+
+    A header with detached voxels is followed by the file that it names.
+    """
     if is_dir(path):
         return list_files(path)
+    if path.suffix.lower() in DETACHED_SUFFIXES:
+        with open_regular(path, sys.maxsize) as content:
+            stated = DATA_FILE.findall(content.read(MAX_HEADER_BYTES))
+        return [path, *filter(is_file, (path.parent / os.fsdecode(name) for name in stated))]
     if path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)) or not begins_as_dicom(path):
         return [path]
     return sorted(file for file in path.parent.iterdir() if is_file(file) and file.name[0] != ".")
