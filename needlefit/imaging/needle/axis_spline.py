@@ -158,18 +158,20 @@ def sample_planes(volume: Volume, where: AxisFrames, plane: Floats) -> Floats:
     return sample(volume, where.origins[:, None] + across)
 
 
-def find_sections(volume: Volume, where: AxisFrames, reach: float) -> tuple[Floats, Floats, Floats]:
+def find_sections(
+    volume: Volume, where: AxisFrames, reach: float, least: float = 1.0
+) -> tuple[Floats, Floats, Floats]:
     """Return how far a needle lies beside frames (S, 3), mm, its brightness over its surroundings, and these.
 
     Centroids of what outshines the rim of a cross-section, within `reach` of its middle; brightness (S,), HU.
-    Where the volume does not hold all of a section, the needle lies in its middle and has no brightness.
+    Where the volume holds less than the part `least` of a section, the needle lies in its middle and has no
+    brightness.
     """
     plane = disc_points(MM.PATCH)
     values, radius = sample_planes(volume, where, plane), np.hypot(*plane.T)
-    shown = np.isfinite(values).all(axis=1)
-    values[~shown] = 0.0
-    rim = np.median(values[:, radius > MM.RIM], axis=1)
-    over = np.where(radius <= reach, values - rim[:, None], 0.0)
+    values[np.isfinite(values).mean(axis=1) < least] = 0.0
+    rim = np.nanmedian(values[:, radius > MM.RIM], axis=1)
+    over = np.where((radius <= reach) & np.isfinite(values), values - rim[:, None], 0.0)
     over = np.clip(over - 0.3 * over.max(axis=1, keepdims=True), 0, None)
     across = over @ plane / np.maximum(over.sum(axis=1), 1e-9)[:, None]
     return across[:, :1] * where.u + across[:, 1:] * where.v, over.max(axis=1), rim

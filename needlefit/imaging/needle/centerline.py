@@ -27,7 +27,7 @@ from needlefit.imaging.needle.hub import find_hub
 from needlefit.imaging.needle.segmentation import Component
 from needlefit.imaging.needle.slice_fit import place_in_slices
 from needlefit.imaging.needle.step import Step, find_section_step
-from needlefit.imaging.needle.tip import TIP, TipFit, bevel_length, fit_tip, search_tip
+from needlefit.imaging.needle.tip import TIP, TipFit, TipProblem, bevel_length, fit_tip
 from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.volume import Volume, measure_face_distance
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -77,15 +77,21 @@ def trace_needle(
     if tip is None:
         axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
         at = find_end(volume, axis, recipe.needle.diameter_mm)
-        axis = refine_axis(volume, axis, recipe, heel, at)
-        placed = place_in_slices(volume, axis, recipe, at, spread)
-        if placed is not None:
-            axis, end, _ = placed
-        else:
-            start = search_tip(volume, axis, recipe.needle, at, spread)
-            axis = refine_axis(volume, axis, recipe, heel, float(start[TIP]))
-            end = fit_tip(volume, axis, recipe.needle, start, spread)
-        if not placed and end.misfit > PART.REFUSED_MISFIT and volume.resampled_top is None:
+    else:
+        base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
+        axis = axis if last <= base else _reverse_axis(axis)
+        at = _project_tip(axis, tip)[0]
+    axis = refine_axis(volume, axis, recipe, heel, at)
+    placed = place_in_slices(volume, axis, recipe, at, spread)
+    if placed is not None:
+        axis, end, step = placed
+    if tip is not None:
+        end = _place_tip(axis, tip, recipe.centerline.placed_tip_sd_mm)
+    elif placed is None:
+        start = TipProblem(volume, axis, recipe.needle, at, spread).search()
+        axis = refine_axis(volume, axis, recipe, heel, float(start[TIP]))
+        end = fit_tip(volume, axis, recipe.needle, start, spread)
+        if end.misfit > PART.REFUSED_MISFIT and volume.resampled_top is None:
             raise DataError(
                 "where the needle ends does not show: its image differs from a "
                 f"needle's by {100 * end.misfit:.0f} % of its brightness",
@@ -97,29 +103,27 @@ def trace_needle(
                 ),
                 where=f"L, P, S = {', '.join(f'{x:.0f}' for x in end.point)} mm",
             )
-    else:
-        base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
-        axis = axis if last <= base else _reverse_axis(axis)
-        axis = refine_axis(volume, axis, recipe, heel, _project_tip(axis, tip)[0])
-        if (placed := place_in_slices(volume, axis, recipe, _project_tip(axis, tip)[0], spread)) is not None:
-            axis = placed[0]
-        place, beside = _project_tip(axis, tip)
-        if beside > MM.MATCH:
-            raise DataError(
-                f"the tip that was placed lies {beside:.1f} mm beside the needle",
-                expected="a point on the needle, LPS, mm",
-                fix="place it on the needle, or place points along the needle; RAS turns the signs of x, y",
-                where="tip of the corrections",
-            )
-        here = np.array([place])
-        sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, here)[0])])
-        point, unknown = axis_frames(axis, here).origins[0], np.full(3, np.nan)
-        end = TipFit(place, point, sd, unknown, float("nan"))
+    if placed is None:
+        step = find_section_step(volume, axis)
     # through the tip, so that the end is interpolated: what its deviation adds for the model's error is none
     # of its place beside the last cross-sections
-    step = placed[2] if placed is not None else find_section_step(volume, axis)
     axis = extend_axis(axis, end.at, end.point, MM.GRID_SD, MM.KNOT)
     return replace(_sample_centerline(volume, axis, end, recipe), step=step)
+
+
+def _place_tip(axis: AxisSpline, tip: Floats, along_sd: float) -> TipFit:
+    """Return the end of an axis at a tip (3,) that a person placed, of deviation `along_sd`, mm."""
+    place, beside = _project_tip(axis, tip)
+    if beside > MM.MATCH:
+        raise DataError(
+            f"the tip that was placed lies {beside:.1f} mm beside the needle",
+            expected="a point on the needle, LPS, mm",
+            fix="place it on the needle, or place points along the needle; RAS turns the signs of x, y",
+            where="tip of the corrections",
+        )
+    here = np.array([place])
+    sd = np.array([along_sd, float(axis_sd(axis, here)[0])])
+    return TipFit(place, axis.spline(here)[0], sd, np.full(3, np.nan), float("nan"))
 
 
 def refuse_fold(points: Floats) -> None:
@@ -166,7 +170,7 @@ def refine_axis(
     for round_ in range(ROUNDS):
         s = np.arange(0.0, stop, MM.STATION)
         where = axis_frames(axis, s)
-        shifts, amplitude, _ = find_sections(volume, where, recipe.needle.diameter_mm)
+        shifts, amplitude, _ = find_sections(volume, where, recipe.needle.diameter_mm, PART.SHOWN)
         good = np.linalg.norm(shifts, axis=1) < recipe.needle.diameter_mm / (1 if round_ == 0 else 2)
         faint = PART.FAINT * np.median(amplitude[amplitude > 0]) if amplitude.any() else np.inf
         if recipe.guide.thickness_mm:  # as bright as the needle, it leaves little of its contrast

@@ -41,7 +41,7 @@ from needlefit.imaging.needle.follow import STEP_MM
 from needlefit.imaging.needle.hub import Hub, find_hub
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, VIEW_STEP, Rod
 from needlefit.imaging.needle.step import Step, find_step
-from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, ROLL_FACTOR, ROUGH_STEPS, TipFit, point_bevel
+from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, ROLL_FACTOR, TipFit, point_bevel
 from needlefit.imaging.point_spread import PointSpread, expected_spread, robust_sd
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedleRecord
@@ -62,6 +62,7 @@ START_STEPS = (0.5, 0.25, 0.12)  # of moves along the normal, slices
 START_ENDS_MM = (-0.5, 0.0, 0.5)  # ends that are tried, from the one before, mm
 ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first fit and later
 STEP = 0.05  # of the derivatives
+STEPS = 8  # of a fit, at most
 ROUGH = 2.0  # factor of the rod's pieces and the views' angles while its course is looked for
 # The model's error, in water and in parts of the image, before it is known; samples that count as one.
 FIRST_ERRORS = (0.15, 0.25)
@@ -329,7 +330,7 @@ class _SliceProblem:
             ftol=PART.TOLERANCE,
             xtol=PART.TOLERANCE,
             gtol=PART.TOLERANCE,
-            max_nfev=ROUGH_STEPS,
+            max_nfev=STEPS,
         )
 
     def search(self) -> Floats:

@@ -120,9 +120,8 @@ class RodModel:
 TIP, ROLL, U, V, HEIGHT, LEVEL, COT, BLUR, _, SLICE, STREAK = range(11)
 SPREAD = slice(7, 10)
 START_ENDS_MM = np.arange(-0.8, 0.9, 0.4)  # around the first guess, at which the bevel's side is tried
-ROUGH_STEPS = 8  # of a first fit, and of fits to slices
-STEPS = 30  # of a last fit
-DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
+STEPS = 30  # of a fit, at most
+DERIVATIVE_STEP = 0.05  # of the derivatives, over the typical changes: single precision hides smaller ones
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
 ROLL_FACTOR = 3.0  # of the roll's deviation: artefacts near the tip
 ROLL_SD = 0.15  # of the roll, rad, that no residual shows
@@ -222,8 +221,14 @@ class TipProblem:
         left = (self.show(theta) - self.values) / self.sigma
         return np.append(left, (theta[HELD] - self.means) / self.sds)
 
+    def slopes(self, theta: Floats) -> Floats:
+        """Return the derivatives of the residuals."""
+        here, steps = self.residuals(theta), DERIVATIVE_STEP * PARAMETER_SCALES
+        moved = zip(np.diag(steps), steps, strict=True)
+        return np.stack([(self.residuals(theta + step) - here) / size for step, size in moved], axis=1)
+
     def search(self) -> Floats:
-        """Return a few steps of the least squares from the best of several ends and sides of the bevel."""
+        """Return the least squares from the best of several ends and sides of the bevel on."""
         first = np.zeros(11)
         first[TIP], first[LEVEL] = self.guess, self.level
         first[HELD] = self.means
@@ -233,7 +238,7 @@ class TipProblem:
 
         unit, rolls = np.eye(11), np.arange(6 if self.rolled else 1) * np.pi / 3
         starts = [first + shift * unit[TIP] + roll * unit[ROLL] for roll in rolls for shift in START_ENDS_MM]
-        return np.asarray(self.minimize(min(starts, key=misfit), ROUGH_STEPS).x, float)
+        return np.asarray(self.minimize(min(starts, key=misfit)).x, float)
 
     def fit(self, start: Floats) -> OptimizeResult:
         """Return the least squares near `start` (11,), with the deviations that it leaves.
@@ -243,22 +248,22 @@ class TipProblem:
         left = robust_sd(self.residuals(start)[: len(self.values)])
         blurs = 8 * float(np.exp(2 * start[BLUR] + start[SLICE])) / float(np.prod(self.volume.spacing))
         self.sigma = self.sigma * max(1.0, left) * np.sqrt(max(1.0, blurs))
-        return self.minimize(start, STEPS)
+        return self.minimize(start)
 
-    def minimize(self, start: Floats, steps: int) -> OptimizeResult:
+    def minimize(self, start: Floats) -> OptimizeResult:
         """Return the least squares from `start` (11,) on."""
         return least_squares(
             self.residuals,
             np.clip(start, self.low + 1e-6, self.high - 1e-6),
+            jac=self.slopes,
             bounds=(self.low, self.high),
             loss="soft_l1",
             f_scale=SD.DISAGREEMENT,
             x_scale=PARAMETER_SCALES,
-            diff_step=DERIVATIVE_STEP,
             ftol=PART.TOLERANCE,
             xtol=PART.TOLERANCE,
             gtol=PART.TOLERANCE,
-            max_nfev=steps,
+            max_nfev=STEPS,
         )
 
     def misfit(self, theta: Floats) -> float:
@@ -303,17 +308,10 @@ class TipFit:
     bevel_deg: float = np.nan  # angle of the bevel as the image shows it, where it contradicts the stated one
 
 
-def search_tip(
-    volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord, guess: float, spread: PointSpread | None
-) -> Floats:
-    """Return about where the tip lies, and how the scan shows it: parameters (11,) to begin a fit with."""
-    return TipProblem(volume, axis, needle, guess, spread).search()
-
-
 def fit_tip(
     volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord, start: Floats, spread: PointSpread | None
 ) -> TipFit:
-    """Fit the tip near `start` (11,) of `search_tip` by least squares over the voxels around it.
+    """Fit the tip near `start` (11,) of `TipProblem.search` by least squares over the voxels around it.
 
     The tip is where the axis ends that reaches as far as the bevel's point does. The rod is moved along the
     axis, rolled about it, and swung across it from the last cross-section on; the bevel's angle is the
@@ -331,7 +329,7 @@ def fit_tip(
             LOWER_BOUNDS[COT],
             UPPER_BOUNDS[COT],
         )
-        free = problem.minimize(best.x, STEPS)
+        free = problem.minimize(best.x)
         if problem.misfit(free.x) < PART.BEVEL_MISFIT * problem.misfit(best.x):
             best, bevel_deg = free, float(np.degrees(np.arctan2(1.0, free.x[COT])))
     normal = best.jac.T @ best.jac
