@@ -110,6 +110,8 @@ class MappingRecord(FileRecord):
     """Files of surfaces between the layers, in the order in which needles meet them."""
     values: dict[str, str] = {}
     """What holds of all needles, by meaning: `pose = "1,0,0"`, `diameter = "18G"`, `point_sd = "0.1 mm"`."""
+    needles: dict[str, dict[str, str]] = {}
+    """What holds of single needles, by name and meaning, in place of their cells: `n3 = {entry = "last"}`."""
     assumed: dict[str, str] = {}
     """Keys that nobody stated, and why their values were taken. Remove a line once you have checked it."""
     tables: tuple[TableRecord, ...] = ()

@@ -23,6 +23,7 @@ class Draft:
 
     def __init__(self, pairs: Pairs) -> None:
         self.values = dict[str, str]()  # of all needles, by meaning; setup sheets add theirs
+        self.facts = dict[str, dict[str, str]]()  # stated of single needles, by name and meaning
         self.columns = dict[str, Keys]()  # stated ones, by meaning and part
         self.table_keys = Keys()  # stated keys of every table
         self.numbered = list[tuple[str, str]]()  # stated keys of one: `tables.2.sheet`
@@ -46,6 +47,9 @@ class Draft:
                 setattr(self, key, text)
             elif key == "surfaces":
                 self.planes += [name.strip() for name in text.split("|")]
+            elif head == "needles":
+                name, _, meaning = part.rpartition(".")
+                self.facts.setdefault(name, {})[meaning] = text
             elif head == "tables":
                 self.numbered.append((key, text))
             elif key in TABLE_KEYS:
@@ -93,6 +97,7 @@ class Draft:
             "origin": self.origin or "measured",
             "surfaces": self.surfaces,
             "values": self.values,
+            "needles": self.facts,
             "assumed": self.assumed,
             "tables": self.tables,
         }

@@ -164,7 +164,10 @@ def _load(mapping: Path, assignments: Pairs) -> MappingRecord:
     record = load(mapping, MappingRecord)
     keys = record.model_dump(mode="json", exclude_defaults=True, by_alias=True)
     pairs = [
-        (f"values.{key}", json.dumps(text)) if key in VALUES else (key, text) for key, text in assignments
+        (f"values.{key}" if key in VALUES else key, json.dumps(text))
+        if key in VALUES or key.startswith("needles.")
+        else (key, text)
+        for key, text in assignments
     ]
     return check(override(keys, pairs, str(mapping)), MappingRecord, mapping)
 

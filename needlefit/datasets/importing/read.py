@@ -19,7 +19,7 @@ from needlefit.datasets.formats.markups import read_plane
 from needlefit.datasets.importing.kinds import KINDS, ImportedCurve, list_kinds
 from needlefit.datasets.importing.layout import lay_out
 from needlefit.datasets.importing.mapped_table import MappedTable
-from needlefit.datasets.importing.meanings import MEANINGS
+from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS
 from needlefit.datasets.importing.stated import Stated, name_set
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
@@ -85,13 +85,20 @@ def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Im
         )
     unwanted = split_names(mapping.values.get("leave_out", ""))
     names = {name for curve in curves for name in (curve.name, curve.given)}
-    if missing := unwanted - names:
+    missing = (unwanted | mapping.needles.keys()) - names
+    missing = missing.union(*mapping.needles.values()) - {*ATTRIBUTES}
+    if missing:
         raise DataError(
-            f"no needle is called {join_names(sorted(missing), MAX_LISTED_NAMES)}, to be left out",
+            f"no needle or meaning is called {join_names(sorted(missing), MAX_LISTED_NAMES)}",
             expected=join_names(sorted(names), MAX_LISTED_NAMES),
-            fix=f"correct {name_set('leave_out')}",
+            fix="correct the name",
             where=where,
         )
+    for name, facts in mapping.needles.items():
+        cells = {key: Stated(key, text, "", f"key needles.{name}.{key}") for key, text in facts.items()}
+        for curve in curves:
+            if name in (curve.name, curve.given):
+                curve.stated |= cells
     curves = [curve for curve in curves if not unwanted & {curve.name, curve.given}]
     if not 0 < len(curves) <= MAX_CURVES:
         raise DataError(

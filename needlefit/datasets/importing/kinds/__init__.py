@@ -94,6 +94,10 @@ class ImportedCurve:
                     where=fact.where,
                 )
 
+    def reverse(self) -> None:
+        """Put the last point first."""
+        self.points = self.points.part(np.arange(len(self.line))[::-1])
+
     def keep_readings(self, rows: NDArray[np.intp]) -> None:
         """Keep the readings of a tip at these rows: points, rolls, and places of the guide."""
         self.points = self.points.part(rows)

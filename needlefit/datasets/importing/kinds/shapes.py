@@ -74,14 +74,20 @@ class ShapePlacer(Placer):
         self.require_depths()
 
     def settle_entry(self) -> None:
-        """Put the entry first."""
+        """Put the entry first: of needles of which nothing states their own end, at the end of all."""
+        ends = {curve: curve.stated["entry"] for curve in self.curves if "entry" in curve.stated}
+        for curve, end in ends.items():
+            if end.require_choice().text == "last":
+                curve.reverse()
         chords = np.array([curve.chord for curve in self.curves])
         chord = chords.sum(axis=0)
         against = [self.curves[n] for n in np.flatnonzero(chords @ chord < 0)]
         reason, fix = "the order of the file", ""
         if against:
             reason = f"{list_names(against)} runs against the others"
-            fix = f"{advise_order(against)}; or, if needles enter from two sides, state "
+            sets = " ".join(name_set(f"needles.{curve.name}.entry", "last") for curve in against)
+            fix = f"if their points go from the tip to the entry: {sets} ({list_places(against)}); "
+            fix += "or, if needles enter from two sides, state "
             fix += f"{name_set('entry', 'first')}, and {name_set('pose', 'free')}"
         along = to_unit(chord)
         first, last = (float(np.ptp([curve.line[end] @ along for curve in self.curves])) for end in (0, -1))
@@ -92,8 +98,9 @@ class ShapePlacer(Placer):
             )
             fix = f"{name_set('entry', 'last')} if first points are tips, else {name_set('entry', 'first')}"
         self.entry = self.settle("entry", "" if against or is_open else "first", reason, fix).text
-        for curve in self.curves if self.entry == "last" else ():
-            curve.points = curve.points.part(np.arange(len(curve.line))[::-1])
+        for curve in self.curves:
+            if self.entry == "last" and curve not in ends:
+                curve.reverse()
 
     # ---- entry and pose
 
@@ -131,7 +138,7 @@ class ShapePlacer(Placer):
             fixes = [f"state {name_set('pose', along)}", fix]
             if angle > 180.0 - MAX_HEADING_DEG:  # stages are known better than the order in files
                 fixes = [f"state {name_set('entry', OTHER_END[self.entry])}", fixes[0]]
-                fix = advise_order(off)
+                fix = f"reverse these points if they go from the tip to the entry: {list_places(off)}"
             fix = fix if 2 * len(off) <= len(poses) else "; or ".join(fixes)
             needed = f"at most {MAX_HEADING_DEG:g} degrees off the needles, {along}; {list_names(off)} runs "
             raise pose.error(f"{needed}{angle:.0f} degrees off it", fix)
@@ -371,11 +378,6 @@ def require_order(curves: Sequence[ImportedCurve]) -> None:
             fault = fault.replace(fix=f"{fault.fix}; or, if they are of several needles, {names}")
         if fault is not None:
             raise fault.replace(what=f"curve {curve.name} {fault.what}")
-
-
-def advise_order(curves: Sequence[ImportedCurve]) -> str:
-    """Return the fix of curves whose points go from the tip to the entry."""
-    return f"reverse these points if they go from the tip to the entry: {list_places(curves)}"
 
 
 def list_places(curves: Sequence[ImportedCurve]) -> str:
