@@ -1,11 +1,12 @@
 """What figures count and measure, apart from how they look."""
 
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from reporting_results import study, with_frames, with_predictions
 
 from needlefit.reporting import fonts
-from needlefit.reporting.figures import style
+from needlefit.reporting.figures import style, tip_track
 from needlefit.studies import fit_figures
 from needlefit.studies.fit_figures import draw_predictive_check
 from needlefit.studies.run import FitFrames
@@ -53,3 +54,16 @@ def test_of_many_insertions_panels_are_drawn_at_equal_steps_of_the_rank_of_their
     ranked = list(zip(errors["fold"], errors["insertion"], strict=True))
     assert len(ranked) == 9 and set(drawing.options["heads"]) == {ranked[0], ranked[4], ranked[8]}
     assert set(drawing.frame["insertion"]) == {ranked[n][1] for n in (0, 4, 8)}
+
+
+def test_many_runs_of_tip_tracks_stand_in_rows_of_as_many_panels_as_a_page_is_wide_for():
+    names = [f"gel-{n}" for n in range(7)]
+    reading = {"medium": "gel", "direction": "y", "method": "prediction", "scored": True}
+    rows = [{**reading, "run": name, "depth_mm": 10.0 * n} for name in names for n in range(1, 4)]
+    numbers = ("guide", "measured", "predicted", "low_50", "high_50", "low_95", "high_95")
+    readings = pd.DataFrame(rows).assign(**{f"{name}_mm": 0.5 for name in numbers})
+    readings["measured_mm"] = readings["depth_mm"] / 10
+    figure = tip_track.draw(readings, names[:6])
+    titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
+    assert titles == [str(n) for n in range(6)]
+    assert [axes.get_subplotspec().colspan.start for axes in figure.axes[::2]] == [0, 1, 2, 3, 0, 1]

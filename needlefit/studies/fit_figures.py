@@ -131,20 +131,21 @@ def _list_tip_errors(run: Run) -> Iterator[Row]:
         yield {"curve": TIP_ERROR, "method": "noise", "name": "noise", scores.TE: floor}
 
 
-def draw_overlays(run: Run, *, from_above: bool = False) -> Drawing:
-    """Return the insertions, seen from the side or from above.
+def select_by_rank(errors: pd.DataFrame, metric: str, count: int) -> pd.DataFrame:
+    """Return at most `count` rows at equal steps of the rank of an error, least and largest among them."""
+    if len(errors) <= count:
+        return errors
+    ranked = errors.sort_values(metric, kind="stable").index
+    steps = np.linspace(0, len(ranked) - 1, count).round().astype(int)
+    return errors.loc[ranked[steps].sort_values()]
 
-    Of more than `MAX_PANELS`, so many at equal steps of the rank of their tip errors, least and largest among
-    them.
-    """
+
+def draw_overlays(run: Run, *, from_above: bool = False) -> Drawing:
+    """Return at most `MAX_PANELS` insertions by rank of tip errors, seen from the side or from above."""
     frames = FitFrames.of(run)
     ours = frames.method
     errors, drawn = frames.select_errors(method=ours), frames.select_curves()["insertion"]
-    errors = errors[errors["insertion"].isin(drawn)]
-    if len(errors) > MAX_PANELS:
-        ranked = errors.sort_values(scores.TE, kind="stable").index
-        steps = np.linspace(0, len(ranked) - 1, MAX_PANELS).round().astype(int)
-        errors = errors.loc[ranked[steps].sort_values()]
+    errors = select_by_rank(errors[errors["insertion"].isin(drawn)], scores.TE, MAX_PANELS)
     names = {method: labels.method_name(method) for method in (ours, "hand_tuned")}
     curves = collect_curves(run, names, _OVERLAY_POINT_STEP, from_above=from_above)
     curves = curves.merge(errors[INSERTION_KEYS], on=INSERTION_KEYS)

@@ -1,33 +1,42 @@
 """Draw tip tracks: readings of the tip and of the guide over depth, and their predictions."""
 
+from collections.abc import Collection
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from needlefit.reporting.figures.forms import lighten
+from needlefit.reporting.figures.forms import MAX_PANEL_COLUMNS, lighten
 from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid
 from needlefit.reporting.labels import GREY, INK, medium_name, method_colour
 from needlefit.reporting.table_files import select_rows
 
 
-def draw(readings: pd.DataFrame) -> Figure:
-    """Draw every predicted run of tip tracks, a row of panels for each medium (in space: and direction).
+def draw(readings: pd.DataFrame, runs: Collection[str]) -> Figure:
+    """Draw predicted runs of tip tracks, rows of panels for each medium (in space: and direction).
 
     They show the tip, and below it the guide.
 
-    `readings` has the columns of the frame `readings` of such a study.
+    `readings` has the columns of the frame `readings` of such a study; `runs` are those that are drawn.
     """
+    readings = readings[readings["run"].isin(runs)]
     titles = readings["medium"].map(medium_name) + "\ntip"
     if readings["direction"].nunique() > 1:
         titles += " along " + readings["direction"]
     readings = readings.assign(panels=titles)
     panels = readings.groupby("panels", sort=False)
     media = {str(name): list(dict.fromkeys(some["run"])) for name, some in panels}
-    down, across = max(1, len(media)), max(map(len, media.values()), default=1)
+    across = min(MAX_PANEL_COLUMNS, max(map(len, media.values()), default=1))
+    rows = [
+        (medium, names[start : start + across])
+        for medium, names in media.items()
+        for start in range(0, len(names), across)
+    ]
+    down = max(1, len(rows))
     figure = Figure(figsize=(TEXT_WIDTH_IN, 1.75 * down))
     grid = figure.add_gridspec(2 * down, across, height_ratios=[3, 1] * down)
-    for n, (medium, names) in enumerate(media.items()):
+    for n, (medium, names) in enumerate(rows):
         group = select_rows(readings, panels=medium)
         values = np.concatenate([group["measured_mm"], group["predicted_mm"].dropna()])
         room = 0.25 * (values.max() - values.min())  # bands may leave it

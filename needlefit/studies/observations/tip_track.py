@@ -37,6 +37,7 @@ from needlefit.reporting.table_files import Row
 from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.run_metadata import CountMetadata
 from needlefit.schemas.study import StudyRecord
+from needlefit.studies.fit_figures import select_by_rank
 from needlefit.studies.fold_draws import Specimens
 from needlefit.studies.job import Job
 from needlefit.studies.observations import (
@@ -62,6 +63,7 @@ END_COLUMNS = (
     *("fold", "run", "medium", "direction", "method", "registered_mm", "depth_mm", "measured_mm"),
     *("predicted_mm", "low_95_mm", "high_95_mm"),
 )
+MAX_PANELS = 20  #: panels of runs at most: a page has room for 5 rows of 4
 END_PARTS = 4  #: an end is predicted again after each of so many parts of the readings ahead
 
 
@@ -380,9 +382,16 @@ def _list_readings(
 
 
 def draw_tracks(run: Run, role: str) -> dict[str, Drawing]:
-    """Return every predicted run, the tip at each reading and the guide below it."""
-    readings = FitFrames.of(run).readings
-    return {"readings": Drawing("tip_track.draw", readings)} if len(readings) else {}
+    """Return predicted runs by rank of their errors: the tip at each reading and the guide below it."""
+    frames = FitFrames.of(run)
+    readings = frames.readings
+    if readings.empty:
+        return {}
+    errors = frames.select_errors(method=PREDICTION_METHOD)
+    errors = errors[errors["insertion"].isin(readings["run"])]
+    count = MAX_PANELS // readings["direction"].nunique()
+    runs = select_by_rank(errors, TRACK_RMS.name, count)["insertion"].tolist()
+    return {"readings": Drawing("tip_track.draw", readings, {"runs": runs})}
 
 
 TIP_TRACK = StudiedObservation(NAME, draw_tracks, predict_tracks, has_errors=True, check=check_tracks)
