@@ -11,7 +11,8 @@ from pytest import approx
 
 from needlefit.datasets.read import read
 from needlefit.inference.forward_model import predict
-from needlefit.inference.identifiability.precision import identify, posterior_sds
+from needlefit.inference.identifiability.information import posterior_sds
+from needlefit.inference.identifiability.verdict import identify
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameter_changes import change_parameters, name_layers, search_freed

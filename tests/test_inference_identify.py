@@ -11,7 +11,9 @@ from needlefit.datasets.insertion import Noise
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability import design_gain
 from needlefit.inference.identifiability.directions import KNOWN_BY_PRIOR, principal_directions
-from needlefit.inference.identifiability.precision import STATED_TIES, identify, profile_parameters
+from needlefit.inference.identifiability.fit_profiles import profile_parameters
+from needlefit.inference.identifiability.loosened_assumptions import STATED_TIES
+from needlefit.inference.identifiability.verdict import identify
 from needlefit.inference.likelihood.nodes import ErrorAxis, Nodes, make_group
 from needlefit.inference.parameters import loosen_ties
 

@@ -6,7 +6,7 @@ from inference_cases import BEVEL, MU, assert_one_density, insertion, measure, p
 from test_inference_identify import fit_at
 
 from needlefit.datasets.insertion import Noise
-from needlefit.inference.identifiability.precision import identify
+from needlefit.inference.identifiability.verdict import identify
 from needlefit.mechanics.laws import LAWS
 from needlefit.schemas.medium import MediumRecord
 

@@ -35,7 +35,7 @@ from needlefit.inference.hypotheses import (
     list_changes,
     search_sizes,
 )
-from needlefit.inference.identifiability.precision import (
+from needlefit.inference.identifiability.information import (
     linearize,
     prior_and_noise_information,
     prior_information,

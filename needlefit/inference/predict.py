@@ -26,7 +26,7 @@ from needlefit.arrays import Floats
 from needlefit.grouping import group_values
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
-from needlefit.inference.identifiability.precision import find_bounds
+from needlefit.inference.identifiability.information import find_bounds
 from needlefit.inference.likelihood.observations import OBSERVATIONS, make_observation
 from needlefit.inference.parameter_names import HYPERPARAMETERS, NOISE_SCALE, to_coordinate
 from needlefit.inference.parameters import Parameters, Values

@@ -11,7 +11,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
 from needlefit.inference import specimens
 from needlefit.inference.fit import Callbacks, Fit, keep_fit, read_fit
-from needlefit.inference.identifiability.precision import add_estimated_noise
+from needlefit.inference.identifiability.information import add_estimated_noise
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws, PriorShift, draw_held, measure_shifts, thin_posterior

@@ -12,13 +12,12 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.inference.identifiability import directions, precision
-from needlefit.inference.identifiability.precision import (
-    FitProfiles,
-    Identifiability,
-    is_determined_by_profile,
-)
+from needlefit.inference.identifiability import directions
+from needlefit.inference.identifiability.fit_profiles import FitProfiles, is_determined_by_profile
+from needlefit.inference.identifiability.information import prior_information
+from needlefit.inference.identifiability.loosened_assumptions import Loosened, find_condition
 from needlefit.inference.identifiability.profile import DEVIANCE_95
+from needlefit.inference.identifiability.verdict import Identifiability
 from needlefit.inference.parameter_names import is_logarithmic, to_coordinate, to_value
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import Draws, PriorShift, central_range, estimate_end_errors
@@ -105,7 +104,7 @@ def identify_parameters(
     examination: FitProfiles,
     sds: Mapping[str, float],
     verdict: Identifiability | None = None,
-    loosened: Sequence[precision.Loosened] = (),
+    loosened: Sequence[Loosened] = (),
     together: Mapping[str, bool] | None = None,
 ) -> IdentificationRows:
     """Judge every parameter by its profile and its posterior SD.
@@ -115,7 +114,7 @@ def identify_parameters(
     that are determined while all others are held.
     """
     held = verdict.together if verdict is not None else together or {}
-    spread = np.linalg.inv(precision.prior_information(problem)) if problem.names else np.zeros((0, 0))
+    spread = np.linalg.inv(prior_information(problem)) if problem.names else np.zeros((0, 0))
     before = dict(zip(problem.names, np.sqrt(np.diag(spread)).tolist(), strict=True))
     by_profile, rows, points = {}, [], []
     for k, parameter in enumerate(examination.parameters):
@@ -124,7 +123,7 @@ def identify_parameters(
         by_profile[parameter.name] = is_determined_by_profile(parameter, prior_sd)
         if verdict is None:
             is_determined = directions.is_determined_by_data(parameter.name, sd, prior_sd)
-            condition = precision.find_condition(parameter.name, prior_sd, loosened) if is_determined else ""
+            condition = find_condition(parameter.name, prior_sd, loosened) if is_determined else ""
         else:
             is_determined = verdict.determined.get(parameter.name, False)
             condition = verdict.conditions.get(parameter.name, "")

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats, log_sum_exp
-from needlefit.inference.identifiability.precision import linearize, prior_and_noise_information
+from needlefit.inference.identifiability.information import linearize, prior_and_noise_information
 from needlefit.inference.likelihood.marginal import stack_residuals
 from needlefit.inference.likelihood.nodes import NodeGroup
 from needlefit.inference.problem import Problem

@@ -35,7 +35,7 @@ from scipy.special import gammaln
 from needlefit.arrays import Bools, Floats, log_sum_exp
 from needlefit.inference.fit import EVALUATION_ERRORS, Fit
 from needlefit.inference.identifiability.directions import UNINFORMED_SD_RATIO
-from needlefit.inference.identifiability.precision import add_estimated_noise
+from needlefit.inference.identifiability.information import add_estimated_noise
 from needlefit.inference.identifiability.profile import (
     LocalMinimum,
     ProfileSteps,

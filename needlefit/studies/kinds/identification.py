@@ -20,10 +20,17 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.draw_simulation import vary_bevels
 from needlefit.inference.fit import Fit
-from needlefit.inference.identifiability import precision
 from needlefit.inference.identifiability.design_gain import PredictedData, fisher_information, nested_gain
-from needlefit.inference.identifiability.precision import cramer_rao, find_together, profile_parameters
+from needlefit.inference.identifiability.fit_profiles import profile_parameters
+from needlefit.inference.identifiability.information import (
+    compute_sds,
+    cramer_rao,
+    linearize,
+    prior_information,
+)
+from needlefit.inference.identifiability.loosened_assumptions import loosen
 from needlefit.inference.identifiability.profile import minimize_squares
+from needlefit.inference.identifiability.verdict import find_together
 from needlefit.inference.likelihood.nodes import make_group
 from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE
@@ -114,10 +121,10 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     here = Fit(tuple(theta.tolist()), problem.values(theta), 0.0, (), 0, 0, False)
     sds = dict(zip(problem.names, cramer_rao(fisher_information(problem, theta)).tolist(), strict=True))
     profiles = profile_parameters(problem, here, settings.jobs, settings.stop)
-    linearized = precision.linearize(problem, theta)
-    information = precision.compute_sds(problem, theta, linearized=linearized)[1]
-    together = find_together(problem.names, information, precision.prior_information(problem))
-    loosened = precision.loosen(problem, theta, linearized=linearized)
+    linearized = linearize(problem, theta)
+    information = compute_sds(problem, theta, linearized=linearized)[1]
+    together = find_together(problem.names, information, prior_information(problem))
+    loosened = loosen(problem, theta, linearized=linearized)
     identified = identify_parameters(problem, profiles, sds, loosened=loosened, together=together)
     rows = [{"fold": fold.name, **row, "value": values[row["parameter"]]} for row in identified.rows]
     rows += [{"fold": fold.name, **row} for row in list_held(parameters, shifts)]

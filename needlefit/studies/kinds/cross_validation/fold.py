@@ -19,12 +19,8 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.inference.doubts import examine_depths
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start
-from needlefit.inference.identifiability.precision import (
-    LOG_POSTERIOR_TOLERANCE,
-    FitProfiles,
-    identify,
-    profile_parameters,
-)
+from needlefit.inference.identifiability.fit_profiles import FitProfiles, profile_parameters
+from needlefit.inference.identifiability.verdict import LOG_POSTERIOR_TOLERANCE, identify
 from needlefit.inference.likelihood.observations import Curve
 from needlefit.inference.predict import Draws, PriorShift
 from needlefit.inference.problem import Problem

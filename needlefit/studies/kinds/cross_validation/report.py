@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from needlefit.inference.baselines import BASELINES
-from needlefit.inference.identifiability.precision import DIRECTION_SD_DEG
+from needlefit.inference.identifiability.stated_direction import DIRECTION_SD_DEG
 from needlefit.metrics import list_metrics
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.number_format import format_metric

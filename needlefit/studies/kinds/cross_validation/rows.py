@@ -14,7 +14,7 @@ from needlefit.inference.identifiability.directions import (
     find_bound_side,
     name_determined,
 )
-from needlefit.inference.identifiability.precision import Identifiability, objective_excess, within_tolerance
+from needlefit.inference.identifiability.verdict import Identifiability, objective_excess, within_tolerance
 from needlefit.inference.parameter_names import HYPERPARAMETERS, to_value
 from needlefit.inference.problem import Problem
 from needlefit.reporting.table_files import Row

@@ -15,7 +15,7 @@ from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import find_free_reach
 from needlefit.grouping import group_values
 from needlefit.inference.doubts import Doubts
-from needlefit.inference.identifiability.precision import predict_factors
+from needlefit.inference.identifiability.stated_direction import predict_factors
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS
 from needlefit.inference.problem import find_new_bevel_sd
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint

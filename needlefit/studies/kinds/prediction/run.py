@@ -21,7 +21,7 @@ from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.draw_simulation import draw_entry_errors, simulate_scene_draws, vary_bevels
 from needlefit.inference.forward_model import make_options
-from needlefit.inference.identifiability.precision import find_model_error
+from needlefit.inference.identifiability.loosened_assumptions import find_model_error
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.likelihood.observations import draw_rolls, turn_about_x
 from needlefit.inference.predict import (
