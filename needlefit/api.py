@@ -29,12 +29,8 @@ from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import thin_posterior
 from needlefit.inference.problem import Problem
-from needlefit.inference.sampling.importance import (
-    MAX_PARETO_K,
-    WeightedDraws,
-    leave_out_parts,
-    sample_about_fit,
-)
+from needlefit.inference.sampling.importance import WeightedDraws, sample_about_fit
+from needlefit.inference.sampling.pareto_smoothing import MAX_PARETO_K, leave_out_parts
 from needlefit.project.checkpoint import remove_checkpoint
 from needlefit.project.cluster import connect_cluster as connect_cluster
 from needlefit.project.input_files import is_dir

@@ -12,7 +12,7 @@ from needlefit import Needle
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.geometry.frames import Frame
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observations import PLAIN_LIKELIHOOD
+from needlefit.inference.likelihood.stated_errors import PLAIN_LIKELIHOOD
 from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.inference.parameter_names import is_shape_parameter
 from needlefit.inference.parameters import Parameters

@@ -1,6 +1,6 @@
 """Problems of insertions that no study selects, and what insertions of a dataset have in common."""
 
-from needlefit.inference.likelihood.observations import PLAIN_LIKELIHOOD
+from needlefit.inference.likelihood.stated_errors import PLAIN_LIKELIHOOD
 from needlefit.inference.parameters import Parameters, with_hyperparameters
 from needlefit.inference.problem import Problem
 from needlefit.schemas.recipe import WeightsRecord

@@ -12,8 +12,9 @@ from numpy.random import default_rng
 
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.sampling import interpolated_density
-from needlefit.inference.sampling.importance import Effort, leave_out_parts, sample_about_modes
+from needlefit.inference.sampling.importance import Effort, sample_about_modes
 from needlefit.inference.sampling.interpolated_density import InterpolatedDensity
+from needlefit.inference.sampling.pareto_smoothing import leave_out_parts
 from needlefit.schemas.recipe import LikelihoodRecord
 
 

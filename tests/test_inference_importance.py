@@ -8,13 +8,8 @@ from sampling_cases import Known, banana, gaussian, two_hills, weighted
 from scipy.stats import genpareto
 
 from needlefit.inference.identifiability.profile import minimize_squares
-from needlefit.inference.sampling.importance import (
-    Effort,
-    WeightedDraws,
-    resample,
-    sample_about_modes,
-    smooth_weights,
-)
+from needlefit.inference.sampling.importance import Effort, WeightedDraws, resample, sample_about_modes
+from needlefit.inference.sampling.pareto_smoothing import smooth_weights
 
 
 def moments(found):

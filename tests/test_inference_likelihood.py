@@ -20,7 +20,8 @@ from refusals import refusal
 from needlefit.datasets.insertion import Noise
 from needlefit.errors import DataError
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observations import OBSERVATIONS, Discrepancy, make_observation
+from needlefit.inference.likelihood.observations import OBSERVATIONS, make_observation
+from needlefit.inference.likelihood.stated_errors import Discrepancy
 from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.recipe import LikelihoodRecord
 

@@ -16,7 +16,8 @@ from needlefit.datasets.sections import format_sections
 from needlefit.errors import DataError
 from needlefit.geometry.smoothing_spline import SplineSections, design_matrix, fit_matrices, make_knots
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observations import make_observation, read_points, whiten_deflections
+from needlefit.inference.likelihood.observation import whiten_deflections
+from needlefit.inference.likelihood.observations import make_observation, read_points
 from needlefit.inference.likelihood.observations.sections import SHARED_ERROR_LENGTH_MM, select_sections
 from needlefit.schemas.dataset import MeasurementRecord
 from needlefit.schemas.recipe import LikelihoodRecord

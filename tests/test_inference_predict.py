@@ -13,7 +13,8 @@ from needlefit import Bevel, Controls, ModelOptions, Needle, Tissue, simulate
 from needlefit.geometry.curves import COMPARISON_POINTS, integrate_curvature
 from needlefit.inference.baseline_fit import fit_baseline
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observations import align_points, select_points
+from needlefit.inference.likelihood.compared_points import align_points
+from needlefit.inference.likelihood.observations import select_points
 from needlefit.inference.parameters import make_tissue
 from needlefit.inference.predict import (
     Draws,

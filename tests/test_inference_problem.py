@@ -23,7 +23,8 @@ from needlefit import Needle, minimize
 from needlefit.datasets.insertion import find_free_reach
 from needlefit.errors import DataError
 from needlefit.inference.forward_model import PreparedModel, predict
-from needlefit.inference.likelihood.observations import align_points, select_points
+from needlefit.inference.likelihood.compared_points import align_points
+from needlefit.inference.likelihood.observations import select_points
 from needlefit.mechanics import batch
 from needlefit.schemas.recipe import WeightsRecord
 

@@ -32,7 +32,7 @@ from needlefit.geometry.curves import compare_curves, integrate_curvature
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.forward_model import predict
 from needlefit.inference.identifiability.profile import minimize_squares
-from needlefit.inference.likelihood.observations import turn_about_x
+from needlefit.inference.likelihood.pose_errors import turn_about_x
 from needlefit.inference.parameters import make_tissue
 from needlefit.inference.predict import find_geometric_median
 from needlefit.mechanics.shape import sample_inserted_points

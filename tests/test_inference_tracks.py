@@ -41,13 +41,9 @@ from needlefit.geometry.curves import compare_curves
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.forward_model import find_end, respond_to_moves, scale_moves, share_simulations
 from needlefit.inference.likelihood.nodes import CARRIED
-from needlefit.inference.likelihood.observations import (
-    PLAIN_LIKELIHOOD,
-    StatedErrors,
-    make_observation,
-    tip_track,
-    whiten,
-)
+from needlefit.inference.likelihood.observation import whiten
+from needlefit.inference.likelihood.observations import make_observation, tip_track
+from needlefit.inference.likelihood.stated_errors import PLAIN_LIKELIHOOD, StatedErrors
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.control import Bevel, Guide, ModelOptions
 from needlefit.mechanics.needle import Needle

@@ -16,8 +16,8 @@ from needlefit.datasets.record_warnings import find_spellings
 from needlefit.datasets.scatter import count_independent
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.neighbours import leave_one_out
-from needlefit.inference.likelihood.observations import StatedErrors
 from needlefit.inference.likelihood.observations.points import POINTS
+from needlefit.inference.likelihood.stated_errors import StatedErrors
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.studies.first_page import classify_doubt, list_contradictions
 

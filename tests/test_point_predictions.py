@@ -10,7 +10,8 @@ from numpy.random import default_rng
 from research.simulated_data import simulate_dataset
 
 from needlefit import minimize
-from needlefit.inference.likelihood.observations import align_points, select_points
+from needlefit.inference.likelihood.compared_points import align_points
+from needlefit.inference.likelihood.observations import select_points
 from needlefit.inference.predict import PointPrediction, choose_point
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord

@@ -22,7 +22,8 @@ from needlefit.datasets.folds import is_copy
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import check, read
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observations import make_observation, read_points, whiten_residuals
+from needlefit.inference.likelihood.observation import whiten_residuals
+from needlefit.inference.likelihood.observations import make_observation, read_points
 
 ONE_LAYER = medium(1)
 THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"]])

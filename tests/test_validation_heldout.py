@@ -17,8 +17,9 @@ from needlefit.datasets.select import find_hole_source, find_repeats, group_inse
 from needlefit.inference.draw_simulation import draw_depth_errors, draw_entry_errors, simulate_draws
 from needlefit.inference.forward_model import predict, with_planned_layers
 from needlefit.inference.likelihood.nodes import shift_depths
-from needlefit.inference.likelihood.observations import make_observation, pose_sds, read_points
+from needlefit.inference.likelihood.observations import make_observation, read_points
 from needlefit.inference.likelihood.observations.curvature import surround_sensors
+from needlefit.inference.likelihood.pose_errors import pose_sds
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_bevel_spread, without_prior
 from needlefit.inference.predict import Draws, PredictiveMixture

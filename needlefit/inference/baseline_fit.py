@@ -13,13 +13,9 @@ from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline, list_baselines
-from needlefit.inference.likelihood.observations import (
-    ComparedPoints,
-    Curve,
-    align_points,
-    list_comparisons,
-    turn_about_x,
-)
+from needlefit.inference.likelihood.compared_points import ComparedPoints, Curve, align_points
+from needlefit.inference.likelihood.observations import list_comparisons
+from needlefit.inference.likelihood.pose_errors import turn_about_x
 
 
 @dataclass(frozen=True)

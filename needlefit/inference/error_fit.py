@@ -29,14 +29,10 @@ from needlefit.inference.fit import (
     ObjectiveFunction,
 )
 from needlefit.inference.forward_model import PreparedModel
+from needlefit.inference.likelihood.compared_points import ComparedPoints, align, differentiate_align
 from needlefit.inference.likelihood.nodes import Surface, make_nodes
-from needlefit.inference.likelihood.observations import (
-    ComparedPoints,
-    ScoredObservation,
-    align,
-    differentiate_align,
-    draw_rolls,
-)
+from needlefit.inference.likelihood.observations import ScoredObservation
+from needlefit.inference.likelihood.pose_errors import draw_rolls
 from needlefit.inference.metric_objective import WeightedDistances, weigh_stations
 from needlefit.inference.parameters import Parameters, Values
 from needlefit.inference.problem import MetricGoal, Problem

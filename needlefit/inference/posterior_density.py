@@ -15,7 +15,7 @@ from needlefit.inference.likelihood.marginal import (
     solve_shared,
 )
 from needlefit.inference.likelihood.nodes import BEVEL, NodeGroup, Nodes, group_nodes
-from needlefit.inference.likelihood.observations import (
+from needlefit.inference.likelihood.observation import (
     Observation,
     append_pose_curves,
     whiten_derivatives,

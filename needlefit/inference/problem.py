@@ -15,18 +15,19 @@ from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel, predict, respond_to_moves
-from needlefit.inference.likelihood.observations import (
-    PLAIN_LIKELIHOOD,
+from needlefit.inference.likelihood.compared_points import (
     ComparedPoints,
-    Discrepancy,
-    ScoredObservation,
-    SimulatedCurve,
     align,
     align_points,
     differentiate_align,
+)
+from needlefit.inference.likelihood.observations import (
+    ScoredObservation,
+    SimulatedCurve,
     list_scored,
     make_observation,
 )
+from needlefit.inference.likelihood.stated_errors import PLAIN_LIKELIHOOD, Discrepancy
 from needlefit.inference.metric_objective import WeightedDistances, metric_misfits, weigh_stations
 from needlefit.inference.parameter_names import BEVEL_SPREAD
 from needlefit.inference.parameters import Parameters, Theta, Values

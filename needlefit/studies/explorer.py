@@ -204,7 +204,7 @@ def _encode_measured(
 
     `curve` (K, 2, 3) are its points and the simulated ones.
     """
-    from needlefit.inference.likelihood.observations import align
+    from needlefit.inference.likelihood.compared_points import align
     from needlefit.mechanics.simulate import find_last_shape
 
     measured, simulated = curve[:, 0], curve[:, 1]

@@ -15,12 +15,10 @@ from needlefit.inference.baseline_fit import FittedBaseline, fit_baselines
 from needlefit.inference.baselines import list_baselines
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict, with_planned_layers
+from needlefit.inference.likelihood.compared_points import ComparedPoints, Curve, align_points
 from needlefit.inference.likelihood.observations import (
     OBSERVATIONS,
-    ComparedPoints,
-    Curve,
     SimulatedCurve,
-    align_points,
     list_comparisons,
     list_scored,
 )

@@ -13,7 +13,8 @@ from needlefit.datasets.read import read_shapes, require_shapes
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import Placement, align_rigid, move_frame
 from needlefit.inference.forward_model import select_layer_draws
-from needlefit.inference.likelihood.observations import align, estimate_floor, select_points
+from needlefit.inference.likelihood.compared_points import align
+from needlefit.inference.likelihood.observations import estimate_floor, select_points
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.control import Step
 from needlefit.mechanics.shape import NeedleShape, compute_positions

@@ -15,7 +15,8 @@ from needlefit.errors import ConfigError, FitError
 from needlefit.geometry.frames import Frame
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood import nodes
-from needlefit.inference.likelihood.observations import OBSERVATIONS, StatedErrors, TrueNeedle, measure
+from needlefit.inference.likelihood.observations import OBSERVATIONS, TrueNeedle, measure
+from needlefit.inference.likelihood.stated_errors import StatedErrors
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, find_bevel_factors
 from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem

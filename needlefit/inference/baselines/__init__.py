@@ -18,7 +18,7 @@ from needlefit.registry import Registry
 
 if TYPE_CHECKING:
     from needlefit.datasets.insertion import Insertion, Pose
-    from needlefit.inference.likelihood.observations import Curve
+    from needlefit.inference.likelihood.compared_points import Curve
 
 COEFFICIENT_LENGTH_MM = 100.0  #: scale of the coefficients of a curvature: c_k is of the size LENGTH^-(k + 1)
 

@@ -12,7 +12,8 @@ import scipy
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Pose
 from needlefit.inference.baselines import Baseline
-from needlefit.inference.likelihood.observations import Curve, select_points
+from needlefit.inference.likelihood.compared_points import Curve
+from needlefit.inference.likelihood.observations import select_points
 
 CHORD_MM = 5.0  #: short beside the bends of needles, long beside the noise of their points
 STEP_MM = 0.25  #: step of the integration along the curve, mm

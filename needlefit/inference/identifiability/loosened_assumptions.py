@@ -19,7 +19,7 @@ from needlefit.inference.identifiability.information import (
     posterior_sds,
     prior_and_noise_information,
 )
-from needlefit.inference.likelihood.observations import Discrepancy
+from needlefit.inference.likelihood.stated_errors import Discrepancy
 from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.inference.parameters import MATERIAL_SPREAD, Parameters, loosen_ties
 from needlefit.inference.problem import Problem

@@ -10,11 +10,7 @@ that it grows along a ridge instead of falling on its best draws. What is return
 adapted proposal alone (docs/inference.md, section 8). Parameters that the data leave as their flat prior has
 them, such as most alphas, are drawn from that prior.
 
-The largest weights follow a generalised Pareto distribution; its shape k says how heavy their tail is and
-whether to trust them, and its quantiles take their places (A. Vehtari, D. Simpson, A. Gelman, Y. Yao,
-J. Gabry, J. Mach. Learn. Res. 25 (2024) 72). k is estimated as by J. Zhang & M. A. Stephens, Technometrics 51
-(2009) 316: a mean over a grid of the profile likelihood, drawn to 1/2 by as much as ten further weights
-would. It cannot see what no draw has come near, which is why a part of the draws stays wide.
+The largest weights are smoothed (`pareto_smoothing`).
 
 The evidence, the integral of likelihood and prior over theta, is the mean of the weights. That of further
 data is the ratio of two evidences: the mean of their likelihood over draws would be decided by a single draw.
@@ -24,13 +20,12 @@ finite the bounds decide.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import gammaln
 
 from needlefit.arrays import Bools, Floats, log_sum_exp
 from needlefit.inference.fit import EVALUATION_ERRORS, Fit
@@ -47,6 +42,8 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import Draws, draw_held, log_prior_integral
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.interpolated_density import InterpolatedDensity
+from needlefit.inference.sampling.pareto_smoothing import MAX_PARETO_K, smooth_weights
+from needlefit.inference.sampling.student_mixture import StudentMixture, join_mixtures
 
 
 @dataclass
@@ -123,137 +120,6 @@ def difference_information(log_density: LogDensityFunction, theta: Floats) -> Fl
     return -np.nan_to_num(information, posinf=0.0, neginf=0.0)
 
 
-MAX_PARETO_K = 0.7  #: largest k of weights whose means come to rest at any practical number of draws
-MIN_TAIL_WEIGHTS = 5  #: fewer weights make no tail
-PRIOR_SHAPE = 0.5  #: the estimated k is shrunk to this shape
-PRIOR_WEIGHTS = 10.0  #: with the weight of so many further weights
-GRID_COARSENESS = 3.0  #: the grid of the profile likelihood is that of a first quartile divided by this
-
-
-def smooth_weights(log_weights: Floats) -> tuple[Floats, float]:
-    """Return normalised log weights (N,) with a smoothed tail, and k.
-
-    k is infinite where too few weights are not 0, and so is no estimate. Weights of 0 (-inf) stay.
-    """
-    smoothed = log_weights - np.max(log_weights)
-    count = math.ceil(min(len(smoothed) / 5, 3 * math.sqrt(len(smoothed))))
-    order = np.argsort(smoothed, kind="stable")
-    # weights that underflow to 0 cannot be distinguished, and must not become the threshold
-    cut = max(float(smoothed[order[-count - 1]]), math.log(np.finfo(float).tiny))
-    tail = order[smoothed[order] > cut]
-    if len(tail) < MIN_TAIL_WEIGHTS:
-        return smoothed - log_sum_exp(smoothed), math.inf
-    above = np.exp(smoothed[tail]) - math.exp(cut)  # ascending
-    k, scale = fit_pareto(above)
-    levels = (np.arange(len(tail)) + 0.5) / len(tail)
-    with np.errstate(over="ignore"):  # of a k beyond all use
-        quantiles = scale * (np.expm1(-k * np.log1p(-levels)) / k if k else -np.log1p(-levels))
-    # no smoothed weight may exceed the largest raw one, which is 1 here
-    smoothed[tail] = np.minimum(np.log(quantiles + math.exp(cut)), 0.0)
-    return smoothed - log_sum_exp(smoothed), k
-
-
-def leave_out_parts(log_predictive: Floats) -> tuple[Floats, Floats]:
-    """Return the expected log predictive density (G,) of each of G parts of the data, and k (G,).
-
-    Of draws (N, G) of the posterior of all the data: the log density of each part given the rest and the
-    draw. The weights of the rest alone are inverse to it (PSIS-LOO: A. Vehtari, A. Gelman, J. Gabry, Stat.
-    Comput. 27 (2017) 1413); above `MAX_PARETO_K` a part is not estimated reliably.
-    """
-    smoothed = [smooth_weights(-part) for part in log_predictive.T]
-    weights = np.column_stack([log_weights for log_weights, _ in smoothed])
-    return log_sum_exp(weights + log_predictive, axis=0), np.array([k for _, k in smoothed])
-
-
-def fit_pareto(values: Floats) -> tuple[float, float]:
-    """Fit a generalised Pareto distribution to positive `values` (N,), ascending; return shape and scale."""
-    n = len(values)
-    # numbers of grid points, quartile and grid as in Zhang & Stephens
-    points = 30 + int(math.sqrt(n))
-    quartile = values[int(n / 4 + 0.5) - 1]
-    grid = 1 / values[-1] + (1 - np.sqrt(points / (np.arange(points) + 0.5))) / (GRID_COARSENESS * quartile)
-    shapes = np.mean(np.log1p(-grid[:, None] * values), axis=1)
-    likelihood = n * (np.log(-grid / shapes) - shapes - 1)
-    weights = np.exp(likelihood - log_sum_exp(likelihood))
-    best = float(weights @ grid)
-    shape = float(np.mean(np.log1p(-best * values)))
-    return (n * shape + PRIOR_WEIGHTS * PRIOR_SHAPE) / (n + PRIOR_WEIGHTS), -shape / best
-
-
-#: degrees of freedom: heavy enough for posteriors within bounds, at a small loss on Gaussian ones
-DEGREES_OF_FREEDOM = 5.0
-
-
-@dataclass(frozen=True)
-class StudentMixture:
-    """A mixture of multivariate Student's t distributions, each with its own centre and scale."""
-
-    weights: Floats  #: (M,) they sum to 1
-    centres: Floats  #: (M, P)
-    factors: Floats  #: (M, P, P) lower triangular roots of their scale matrices
-
-    def draw(self, count: int, rng: np.random.Generator) -> Floats:
-        """Return `count` draws (N, P)."""
-        return np.concatenate([*self.draw_parts(count, rng, max(1, count))])
-
-    def draw_parts(self, count: int, rng: np.random.Generator, size: int) -> Iterator[Floats]:
-        """Yield `count` draws (N, P), `size` at a time; all random numbers are drawn with the first."""
-        which = rng.choice(len(self.weights), size=count, p=self.weights)
-        normal = rng.standard_normal((count, self.centres.shape[1]))
-        spread = np.sqrt(DEGREES_OF_FREEDOM / rng.chisquare(DEGREES_OF_FREEDOM, size=count))
-        for some in (slice(start, start + size) for start in range(0, max(1, count), size)):
-            moves = np.einsum("npq,nq->np", self.factors[which[some]], normal[some])
-            yield self.centres[which[some]] + spread[some, None] * moves
-
-    def log_density(self, thetas: Floats) -> Floats:
-        """Return the log density (N,) at points (N, P)."""
-        return log_sum_exp(self._joint(thetas, self._distances(thetas)), axis=1)
-
-    def _distances(self, thetas: Floats) -> Floats:
-        """Return squared distances (N, M) from the centres in units of the scales."""
-        # inverses of small triangular factors, which all points share
-        inverses = np.linalg.inv(self.factors)
-        white = inverses @ thetas.T  # (M, P, N)
-        white -= inverses @ self.centres[:, :, None]
-        white *= white  # in place: memory for another one takes most of the time
-        return white.sum(axis=1).T
-
-    def _joint(self, thetas: Floats, squares: Floats) -> Floats:
-        """Return log weight and density (N, M) of every component."""
-        p = thetas.shape[1]
-        norm = (
-            gammaln(0.5 * (DEGREES_OF_FREEDOM + p))
-            - gammaln(0.5 * DEGREES_OF_FREEDOM)
-            - 0.5 * p * np.log(DEGREES_OF_FREEDOM * np.pi)
-        )
-        volume = np.sum(np.log(np.diagonal(self.factors, axis1=1, axis2=2)), axis=1)  # (M,)
-        with np.errstate(divide="ignore"):
-            logs = np.log(self.weights) + norm - volume
-        return logs - 0.5 * (DEGREES_OF_FREEDOM + p) * np.log1p(squares / DEGREES_OF_FREEDOM)
-
-    def refit(self, thetas: Floats, weights: Floats, least: Floats) -> "StudentMixture":
-        """Return the mixture after one EM step towards points (N, P) of `weights` (N,), which sum to 1.
-
-        `least` (P, P) is added to every scale matrix; components that hardly any point belongs to go.
-        """
-        squares = self._distances(thetas)
-        joint = self._joint(thetas, squares)
-        belongs = weights[:, None] * np.exp(joint - log_sum_exp(joint, axis=1)[:, None])  # (N, M)
-        p = thetas.shape[1]
-        # weights of the Student likelihood: points far out pull less, as in robust regression
-        pulls = belongs * (DEGREES_OF_FREEDOM + p) / (DEGREES_OF_FREEDOM + squares)
-        parts, count = belongs.sum(axis=0), belongs.sum(axis=0) ** 2 / np.sum(belongs**2, axis=0).clip(1e-300)
-        # a component with fewer effective points than this has no full-rank covariance
-        kept = np.flatnonzero(count > p + 1)
-        if not len(kept):
-            return self
-        pulls = pulls[:, kept]
-        centres = (pulls.T @ thetas) / pulls.sum(axis=0)[:, None]
-        moved = zip(pulls.T, (thetas - centre for centre in centres), strict=True)
-        scales = np.array([(pull * away.T) @ away for pull, away in moved]) / parts[kept, None, None]
-        return StudentMixture(parts[kept] / parts[kept].sum(), centres, np.linalg.cholesky(scales + least))
-
-
 @dataclass(frozen=True)
 class Effort:
     """How many draws an importance sampler makes."""
@@ -328,7 +194,7 @@ class Proposal:
         """
         some = replace(draws, thetas=draws.thetas[:, ~self.uniform])
         mixtures = [self.mixture, *(_fit_mixture(some, rng, components) for _ in range(fits))]
-        return replace(self, mixture=_join_mixtures(mixtures, [1 - share, *[share / fits] * fits]))
+        return replace(self, mixture=join_mixtures(mixtures, [1 - share, *[share / fits] * fits]))
 
 
 @dataclass(frozen=True)
@@ -493,15 +359,6 @@ WIDENING = 1.4  #: factor on the fitted scales, so that tails are reached
 WIDE_SHARE = 0.3  #: part of the first mixture that is wider, for ridges that bend away where they begin
 WIDE_SCALE = 3.0  #: how many times wider
 MIN_COVARIANCE_FRACTION = 1e-4  #: part of the draws' whole covariance that every component has at least
-
-
-def _join_mixtures(parts: Sequence[StudentMixture], shares: Sequence[float]) -> StudentMixture:
-    """Return the mixture of several, each with its share; these sum to 1."""
-    return StudentMixture(
-        np.concatenate([share * part.weights for part, share in zip(parts, shares, strict=True)]),
-        np.concatenate([part.centres for part in parts]),
-        np.concatenate([part.factors for part in parts]),
-    )
 
 
 def _fit_mixture(draws: WeightedDraws, rng: np.random.Generator, components: int) -> StudentMixture:

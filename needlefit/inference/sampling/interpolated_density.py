@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from needlefit.arrays import Bools, Floats, Ints
-from needlefit.inference.likelihood.observations import append_pose_curves
+from needlefit.inference.likelihood.observation import append_pose_curves
 from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.inference.problem import Problem
 

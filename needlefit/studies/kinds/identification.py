@@ -36,7 +36,8 @@ from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE
 from needlefit.inference.predict import measure_shifts
 from needlefit.inference.problem import Problem
-from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample_about_modes
+from needlefit.inference.sampling.importance import Effort, sample_about_modes
+from needlefit.inference.sampling.pareto_smoothing import MAX_PARETO_K
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText

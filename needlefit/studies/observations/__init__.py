@@ -13,7 +13,8 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, name_holes
 from needlefit.grouping import group_values
 from needlefit.inference.curve_bands import CurveBands
-from needlefit.inference.likelihood.observations import OBSERVATIONS, Curve
+from needlefit.inference.likelihood.compared_points import Curve
+from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.predict import Draws, PointPrediction, PredictiveMixture, crps
 from needlefit.project.tasks import Step, no_step
 from needlefit.registry import Registry

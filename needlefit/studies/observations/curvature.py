@@ -5,7 +5,7 @@ import pandas as pd
 from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.curves import select_compared
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
-from needlefit.inference.likelihood.observations import Curve
+from needlefit.inference.likelihood.compared_points import Curve
 from needlefit.inference.likelihood.observations.curvature import require_curvature, surround_sensors
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row

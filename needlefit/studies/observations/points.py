@@ -30,17 +30,11 @@ from needlefit.inference.draw_simulation import (
     simulate_draws,
     vary_bevels,
 )
-from needlefit.inference.likelihood.observations import (
-    Curve,
-    Observation,
-    align,
-    draw_rolls,
-    list_scored,
-    make_observation,
-    measures_tip,
-    turn_about_x,
-)
+from needlefit.inference.likelihood.compared_points import Curve, align
+from needlefit.inference.likelihood.observation import Observation
+from needlefit.inference.likelihood.observations import list_scored, make_observation, measures_tip
 from needlefit.inference.likelihood.observations.curvature import surround_sensors
+from needlefit.inference.likelihood.pose_errors import draw_rolls, turn_about_x
 from needlefit.inference.predict import (
     PointPrediction,
     PredictiveMixture,

@@ -18,7 +18,8 @@ from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.draw_simulation import vary_bevels
 from needlefit.inference.forward_model import PreparedModel
-from needlefit.inference.likelihood.observations import Observation, make_observation
+from needlefit.inference.likelihood.observation import Observation
+from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.likelihood.observations.tip_track import (
     MIN_TUNED_RUNS,
     PredictedReadings,

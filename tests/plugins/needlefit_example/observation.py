@@ -2,13 +2,10 @@
 
 from dataclasses import dataclass
 
-from needlefit.inference.likelihood.observations import (
-    ObservationType,
-    complete_observation,
-    list_pose_modes,
-    points_covariance,
-    split_pose_modes,
-)
+from needlefit.inference.likelihood.observation import complete_observation
+from needlefit.inference.likelihood.observations import ObservationType
+from needlefit.inference.likelihood.pose_errors import list_pose_modes, split_pose_modes
+from needlefit.inference.likelihood.stated_errors import points_covariance
 
 HIDDEN_MM = 10.0
 

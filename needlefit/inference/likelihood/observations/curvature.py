@@ -11,17 +11,12 @@ from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.errors import DataError
 from needlefit.geometry.curves import Quantity, compare_curves
+from needlefit.inference.likelihood.compared_points import ComparedPoints
 from needlefit.inference.likelihood.nodes import make_nodes
-from needlefit.inference.likelihood.observations import (
-    QUARTER_TURN,
-    ComparedPoints,
-    Observation,
-    ObservationType,
-    StatedErrors,
-    TrueNeedle,
-    turn_about_x,
-    whiten,
-)
+from needlefit.inference.likelihood.observation import Observation, whiten
+from needlefit.inference.likelihood.observations import ObservationType, TrueNeedle
+from needlefit.inference.likelihood.pose_errors import QUARTER_TURN, turn_about_x
+from needlefit.inference.likelihood.stated_errors import StatedErrors
 from needlefit.metrics import compute_metrics
 from needlefit.schemas.base import Compared
 

@@ -20,23 +20,22 @@ from needlefit.datasets.insertion import (
 from needlefit.geometry.curves import select_compared
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.geometry.smoothing_spline import fit_matrices, make_knots
+from needlefit.inference.likelihood.compared_points import rotate_to_entry_axes
+from needlefit.inference.likelihood.observation import Observation, complete_observation
 from needlefit.inference.likelihood.observations import (
     OBSERVATIONS,
-    Discrepancy,
-    Observation,
     ObservationType,
-    StatedErrors,
     TrueNeedle,
-    complete_observation,
     has_sections,
+)
+from needlefit.inference.likelihood.pose_errors import (
     list_pose_modes,
-    points_covariance,
     pose_modes,
     pose_sds,
-    rotate_to_entry_axes,
     split_pose_modes,
     turn_about_x,
 )
+from needlefit.inference.likelihood.stated_errors import Discrepancy, StatedErrors, points_covariance
 from needlefit.schemas.dataset import MeasurementRecord
 
 FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a simulated shape lies whose pose is free, mm

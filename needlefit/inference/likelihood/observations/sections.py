@@ -14,19 +14,17 @@ from needlefit.arrays import Bools, Floats, pad_axis
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.geometry.curves import select_compared
 from needlefit.geometry.smoothing_spline import SplineFit, SplineSections, design_matrix, fit_matrices
-from needlefit.inference.likelihood.observations import (
+from needlefit.inference.likelihood.observation import Observation, complete_observation
+from needlefit.inference.likelihood.observations import ObservationType, TrueNeedle
+from needlefit.inference.likelihood.pose_errors import (
     QUARTER_TURN,
-    Observation,
-    ObservationType,
-    StatedErrors,
-    TrueNeedle,
-    complete_observation,
     list_pose_modes,
     pose_modes,
     pose_sds,
     split_pose_modes,
     turn_about_x,
 )
+from needlefit.inference.likelihood.stated_errors import StatedErrors
 
 SHARED_ERROR_LENGTH_MM = 7.5  #: length over which errors that neighbouring cross-sections share fade, mm
 #: cross-sections within so many deviations of the depth from the needle's base are left out: a depth that

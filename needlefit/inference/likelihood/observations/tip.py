@@ -11,18 +11,11 @@ from scipy.linalg import block_diag
 
 from needlefit.datasets.insertion import Dataset, Insertion, Pose, find_pose
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
-from needlefit.inference.likelihood.observations import (
-    ComparedPoints,
-    Observation,
-    ObservationType,
-    StatedErrors,
-    TrueNeedle,
-    complete_observation,
-    list_pose_modes,
-    points_covariance,
-    split_pose_modes,
-    whiten,
-)
+from needlefit.inference.likelihood.compared_points import ComparedPoints
+from needlefit.inference.likelihood.observation import Observation, complete_observation, whiten
+from needlefit.inference.likelihood.observations import ObservationType, TrueNeedle
+from needlefit.inference.likelihood.pose_errors import list_pose_modes, split_pose_modes
+from needlefit.inference.likelihood.stated_errors import StatedErrors, points_covariance
 from needlefit.schemas.base import Compared
 
 

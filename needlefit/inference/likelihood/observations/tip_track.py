@@ -30,18 +30,15 @@ from needlefit.datasets.insertion import Dataset, Insertion, Noise, Pose, find_p
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.inference.baselines import BASELINES, Baseline
+from needlefit.inference.likelihood.compared_points import ComparedPoints, count_entry_side
 from needlefit.inference.likelihood.nodes import CARRIED, FRAME, GROUP_SLOPE, ErrorAxis, NodeGroup, make_nodes
-from needlefit.inference.likelihood.observations import (
-    ComparedPoints,
+from needlefit.inference.likelihood.observation import Observation, whiten
+from needlefit.inference.likelihood.observations import ObservationType, TrueNeedle
+from needlefit.inference.likelihood.stated_errors import (
     Discrepancy,
-    Observation,
-    ObservationType,
     StatedErrors,
-    TrueNeedle,
-    count_entry_side,
     no_errors_error,
     points_covariance,
-    whiten,
 )
 from needlefit.mechanics.batch import Jacobians, NeedleShapes
 from needlefit.mechanics.shape import NeedleShape

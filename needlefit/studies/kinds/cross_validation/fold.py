@@ -21,7 +21,7 @@ from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start
 from needlefit.inference.identifiability.fit_profiles import FitProfiles, profile_parameters
 from needlefit.inference.identifiability.verdict import LOG_POSTERIOR_TOLERANCE, identify
-from needlefit.inference.likelihood.observations import Curve
+from needlefit.inference.likelihood.compared_points import Curve
 from needlefit.inference.predict import Draws, PriorShift
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior

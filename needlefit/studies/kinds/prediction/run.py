@@ -23,7 +23,7 @@ from needlefit.inference.draw_simulation import draw_entry_errors, simulate_scen
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.identifiability.loosened_assumptions import find_model_error
 from needlefit.inference.identifiability.profile import minimize_squares
-from needlefit.inference.likelihood.observations import draw_rolls, turn_about_x
+from needlefit.inference.likelihood.pose_errors import draw_rolls, turn_about_x
 from needlefit.inference.predict import (
     INTERVAL_PROBABILITIES,
     Draws,
