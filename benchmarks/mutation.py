@@ -68,7 +68,11 @@ AREAS = {
         ("inference_sample",),
     ),
     "importance": Area(
-        ("inference/sampling/importance.py",),
+        (
+            "inference/sampling/importance.py",
+            "inference/sampling/pareto_smoothing.py",
+            "inference/sampling/student_mixture.py",
+        ),
         ("inference_importance", "inference_specimens", "inference_golden"),
     ),
     "errors": Area(

@@ -31,13 +31,13 @@ from needlefit.inference.predict import thin_posterior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import WeightedDraws, sample_about_fit
 from needlefit.inference.sampling.pareto_smoothing import MAX_PARETO_K, leave_out_parts
+from needlefit.project.callbacks import Progress, Stop, never_stop, no_progress
 from needlefit.project.checkpoint import remove_checkpoint
 from needlefit.project.cluster import connect_cluster as connect_cluster
 from needlefit.project.input_files import is_dir
 from needlefit.project.locate import find_file, find_run
 from needlefit.project.processes import count_cores
 from needlefit.project.tasks import LocalPool as LocalPool
-from needlefit.project.tasks import Progress, Stop, never_stop, no_progress
 from needlefit.project.toml import IN_MEMORY, check, dumps, read_given, spell_name
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MaterialRecord, MediumRecord

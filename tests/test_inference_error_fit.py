@@ -19,8 +19,8 @@ from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
 from needlefit.inference.parameters import without_prior
 from needlefit.mechanics.shape import sample_inserted_points
+from needlefit.project.callbacks import never_stop
 from needlefit.project.locate import find_file
-from needlefit.project.tasks import never_stop
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import WeightsRecord

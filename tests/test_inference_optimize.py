@@ -18,8 +18,8 @@ from needlefit.inference.fit import (
 )
 from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.inference.optimize import minimize, run_gauss_newton, starting_points
+from needlefit.project.callbacks import never_stop
 from needlefit.project.checkpoint import open_checkpoint
-from needlefit.project.tasks import never_stop
 
 
 def bowl(theta):

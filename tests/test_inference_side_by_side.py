@@ -9,7 +9,8 @@ from refusals import refusal
 
 from needlefit.errors import ModelError
 from needlefit.inference.side_by_side import MAX_SEARCHES, evaluate, run_side_by_side
-from needlefit.project.tasks import TaskStop, never_stop
+from needlefit.project.callbacks import never_stop
+from needlefit.project.tasks import TaskStop
 
 LIMIT_S = 20.0
 

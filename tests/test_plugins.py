@@ -173,7 +173,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needlefit.inference.likelihood.nodes import make_nodes
-from needlefit.inference.likelihood.observations import Observation, whiten
+from needlefit.inference.likelihood.observation import Observation, whiten
 from needlefit.inference.likelihood.observations import ObservationType
 
 BASE_MM = 5.0

@@ -20,11 +20,12 @@ from test_cli import run
 from world import SHORT, copy_project
 
 from needlefit.errors import ConfigError, UnfinishedWorkError
-from needlefit.project import cluster, locate, tasks
+from needlefit.project import cluster, copies, locate, tasks
 from needlefit.project.cluster import connect_cluster, require_secured
+from needlefit.project.copies import compute_beside, compute_in_copies
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.processes import THREAD_VARIABLES
-from needlefit.project.tasks import LocalPool, compute_beside, compute_in_copies
+from needlefit.project.tasks import LocalPool
 from tests.cluster_processes import start_scheduler, start_worker
 from tests.cluster_work import fail, kill_once, nap, square, wait_for_stop
 
@@ -32,7 +33,7 @@ on_linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are cop
 COPIES = """
 import os, signal, sys, threading, time
 from needlefit.errors import ConfigError
-from needlefit.project import tasks
+from needlefit.project import copies, tasks
 
 def tell(n):
     time.sleep(0.2)
@@ -66,7 +67,7 @@ if __name__ == "__main__":
     if sys.argv[1:] == ["pool"]:
         list(pool.run(time.sleep, [60, 60]))
     if sys.argv[1:] == ["beside"]:
-        with tasks.compute_beside([lambda: time.sleep(60)] * 2):
+        with copies.compute_beside([lambda: time.sleep(60)] * 2):
             time.sleep(60)
 """
 """A program whose tasks know what was loaded before them."""
@@ -74,7 +75,8 @@ if __name__ == "__main__":
 
 @pytest.fixture(params=[False, pytest.param(True, marks=on_linux)], ids=["spawned", "copied"])
 def processes(request, monkeypatch):
-    monkeypatch.setattr(tasks, "can_fork", lambda: request.param)
+    for module in (tasks, copies):
+        monkeypatch.setattr(module, "can_fork", lambda: request.param)
 
 
 @on_linux

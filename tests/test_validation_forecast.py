@@ -19,8 +19,8 @@ from needlefit.inference.curve_bands import predict_bands
 from needlefit.inference.identifiability.loosened_assumptions import find_model_error
 from needlefit.inference.predict import Draws
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.project.callbacks import no_note
 from needlefit.project.locate import find_file
-from needlefit.project.tasks import no_note
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord

@@ -46,9 +46,10 @@ from needlefit.imaging.assembly import assemble_dataset
 from needlefit.imaging.batch import ReconstructionFailure, reconstruct_needles
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Scan
+from needlefit.project.callbacks import Progress, no_progress
 from needlefit.project.processes import one_thread
 from needlefit.project.random_streams import random_stream
-from needlefit.project.tasks import THIS_PROCESS, LocalPool, Progress, TaskPool, no_progress
+from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool
 from needlefit.project.toml import dumps
 from scanner.render import Needle3D, Scanner, ScannerTable, Scene3D, SceneMarkers, densify, render_scan
 from scanner.write import write_volume

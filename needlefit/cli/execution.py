@@ -15,9 +15,9 @@ import typer
 
 from needlefit.cli import exit_codes, screen
 from needlefit.cli.exit_codes import Invocation, catch_interrupts
+from needlefit.project.callbacks import never_stop, no_note
 from needlefit.project.locate import format_path
 from needlefit.project.processes import count_cores, leave_out_help_texts
-from needlefit.project.tasks import never_stop, no_note
 
 if TYPE_CHECKING:
     from needlefit.datasets.insertion import Dataset
@@ -31,7 +31,7 @@ import sys
 import time
 from typing import TextIO
 
-from needlefit.project.tasks import Progress, no_progress
+from needlefit.project.callbacks import Progress, no_progress
 
 # ---- how far a long run is, and the time left: a bar on a terminal, otherwise a line a minute; on stderr
 

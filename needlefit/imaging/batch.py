@@ -25,10 +25,11 @@ from needlefit.imaging.reconstruction import CurvePicture, Reconstruction, rende
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import explain_refusal
 from needlefit.imaging.volume_files import read_volume
+from needlefit.project.callbacks import Progress, Stop, never_stop, no_progress
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
 from needlefit.project.processes import one_thread
 from needlefit.project.stored_values import decode, encode
-from needlefit.project.tasks import THIS_PROCESS, LocalPool, Progress, Stop, TaskPool, never_stop, no_progress
+from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 T = TypeVar("T")

@@ -46,7 +46,7 @@ from needlefit.inference.parameter_names import BEVEL_PARAMETERS
 from needlefit.inference.plausible import list_implausible
 from needlefit.inference.posterior_density import KnownPoints
 from needlefit.inference.problem import APPROACH_TOLERANCE, Problem, make_posterior_objective
-from needlefit.project.tasks import never_stop
+from needlefit.project.callbacks import never_stop
 from needlefit.project.unit_warnings import LENGTH_UNITS
 from needlefit.schemas.run_metadata import DepthMetadata, DoubtMetadata
 

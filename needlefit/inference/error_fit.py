@@ -38,7 +38,8 @@ from needlefit.inference.parameters import Parameters, Values
 from needlefit.inference.problem import MetricGoal, Problem
 from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.inference.slsqp import find_farthest_step, run_slsqp_once
-from needlefit.project.tasks import Stop, TaskStop, never_stop
+from needlefit.project.callbacks import Stop, never_stop
+from needlefit.project.tasks import TaskStop
 
 # ---- the tolerance: how far the errors of a fit may exceed the least ones by chance
 #

@@ -15,8 +15,8 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.inference.metric_objective import WeightedDistances
+from needlefit.project.callbacks import Step, never_stop, no_step
 from needlefit.project.checkpoint import Checkpoint
-from needlefit.project.tasks import Step, never_stop, no_step
 from needlefit.schemas.recipe import ObjectiveName
 
 INTERRUPTED = "interrupted"

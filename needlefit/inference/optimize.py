@@ -41,8 +41,9 @@ from needlefit.inference.problem import Problem, make_objective
 from needlefit.inference.sampling.importance import find_modes
 from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.inference.slsqp import run_slsqp
+from needlefit.project.callbacks import Stop, never_stop
 from needlefit.project.processes import one_thread
-from needlefit.project.tasks import Stop, TaskStop, never_stop
+from needlefit.project.tasks import TaskStop
 from needlefit.schemas.recipe import ObjectiveName, RecipeRecord
 
 MIN_GAIN = 1e-4  #: gain that the linear problem promises, as a part of the sum, under which a search ends

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pydantic import TypeAdapter
 
 from needlefit.errors import ConfigError, DataError, UnfinishedWorkError
+from needlefit.project.callbacks import Note, no_note
 from needlefit.project.folders import (
     FILE_MANAGER_FILES,
     LOCK_NAME,
@@ -29,7 +30,6 @@ from needlefit.project.folders import (
     take_lock,
 )
 from needlefit.project.input_files import digest_values, parse_json, read_bytes
-from needlefit.project.tasks import Note, no_note
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock

@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from needlefit.errors import ConfigError, UnfinishedWorkError
-from needlefit.project.tasks import Note, Stop, as_finished, never_stop, no_note, read_work, stop_tasks
+from needlefit.project.callbacks import Note, Stop, never_stop, no_note
+from needlefit.project.tasks import as_finished, read_work, stop_tasks
 
 if TYPE_CHECKING:
     from distributed import Client, Future

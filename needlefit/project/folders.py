@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needlefit.errors import ConfigError, DataError
+from needlefit.project.callbacks import Note
 from needlefit.project.input_files import path_exists, read_json
 from needlefit.project.locate import join_names
-from needlefit.project.tasks import Note
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock

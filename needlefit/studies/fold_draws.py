@@ -27,8 +27,9 @@ from needlefit.inference.sampling.importance import (
 )
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample, sample_density
+from needlefit.project.callbacks import Step, no_step
 from needlefit.project.checkpoint import Checkpoint
-from needlefit.project.tasks import Step, no_step, run_parts
+from needlefit.project.tasks import run_parts
 from needlefit.project.toml import describe_key
 from needlefit.reporting.table_files import Row
 from needlefit.studies.job import Job, Settings

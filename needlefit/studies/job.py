@@ -25,11 +25,12 @@ from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.inference.parameters import Parameters, without_bevel_spread, without_prior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.project.callbacks import Note, Progress, Stop, never_stop, no_note, no_progress
 from needlefit.project.checkpoint import abandon_checkpoint, release_checkpoint
 from needlefit.project.processes import one_thread
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.tasks import Note, Progress, Stop, TaskPool, never_stop, no_note, no_progress
+from needlefit.project.tasks import TaskPool
 from needlefit.project.toml import add_file_context, add_study_context, locate_key
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MediumRecord

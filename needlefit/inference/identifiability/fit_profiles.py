@@ -14,7 +14,7 @@ from needlefit.inference.identifiability.profile import (
     trace_profiles,
 )
 from needlefit.inference.problem import Problem
-from needlefit.project.tasks import Step, Stop, never_stop, no_step
+from needlefit.project.callbacks import Step, Stop, never_stop, no_step
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,8 @@ from needlefit.arrays import Bools, Floats
 from needlefit.inference.fit import EVALUATION_ERRORS, FIRST_RADIUS
 from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import run_side_by_side
-from needlefit.project.tasks import Step, Stop, TaskStop, never_stop, no_step
+from needlefit.project.callbacks import Step, Stop, never_stop, no_step
+from needlefit.project.tasks import TaskStop
 
 #: a minimum is reached where a further step would lessen the sum of squares by less than this
 MIN_GAIN = 1e-3

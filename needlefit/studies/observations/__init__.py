@@ -16,7 +16,7 @@ from needlefit.inference.curve_bands import CurveBands
 from needlefit.inference.likelihood.compared_points import Curve
 from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.predict import Draws, PointPrediction, PredictiveMixture, crps
-from needlefit.project.tasks import Step, no_step
+from needlefit.project.callbacks import Step, no_step
 from needlefit.registry import Registry
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row

@@ -43,7 +43,8 @@ from needlefit.inference.predict import (
     rms_noise_scale,
 )
 from needlefit.inference.problem import Problem
-from needlefit.project.tasks import Step, compute_in_copies
+from needlefit.project.callbacks import Step
+from needlefit.project.copies import compute_in_copies
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.recipe import LikelihoodRecord

@@ -32,7 +32,7 @@ from needlefit.inference.parameter_names import NOISE_SCALE
 from needlefit.inference.predict import PointPrediction, choose_point
 from needlefit.inference.problem import Problem
 from needlefit.metrics import TRACK_RMS
-from needlefit.project.tasks import Step
+from needlefit.project.callbacks import Step
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.recipe import TrackErrorsRecord

@@ -25,8 +25,10 @@ from needlefit.inference.likelihood.compared_points import Curve
 from needlefit.inference.predict import Draws, PriorShift
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.project.callbacks import Progress, no_progress
 from needlefit.project.checkpoint import Checkpoint
-from needlefit.project.tasks import Progress, compute_beside, no_progress, stop_requested
+from needlefit.project.copies import compute_beside
+from needlefit.project.tasks import stop_requested
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.reporting.table_files import Row
 from needlefit.schemas.run_metadata import CountMetadata

@@ -18,10 +18,11 @@ from needlefit.inference.doubts import Doubts
 from needlefit.inference.identifiability.stated_direction import predict_factors
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS
 from needlefit.inference.problem import find_new_bevel_sd
+from needlefit.project.callbacks import no_note
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.processes import one_thread
 from needlefit.project.result_warnings import to_stored_rows
-from needlefit.project.tasks import LocalPool, can_fork, no_note
+from needlefit.project.tasks import LocalPool, can_fork
 from needlefit.reporting.table_files import select_rows
 from needlefit.schemas.run_metadata import EffectMetadata, FitMetadata, InsertionMetadata, JobMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord

@@ -33,9 +33,9 @@ from needlefit.inference.predict import (
     thin_posterior,
 )
 from needlefit.mechanics.scene import Scene
+from needlefit.project.callbacks import no_note
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
-from needlefit.project.tasks import no_note
 from needlefit.project.toml import find_named
 from needlefit.project.unit_warnings import extrapolation_warnings, scene_warnings
 from needlefit.schemas.medium import MediumRecord

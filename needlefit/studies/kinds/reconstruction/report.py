@@ -21,10 +21,10 @@ from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Scan, write_scan_table
 from needlefit.imaging.volume_files import list_series_files
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
+from needlefit.project.callbacks import Progress
 from needlefit.project.folders import replace_folder, sha256
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.stored_values import encode
-from needlefit.project.tasks import Progress
 from needlefit.reporting.figures import Drawing, Panel
 from needlefit.reporting.labels import PAPER_COLOUR, rgb
 from needlefit.reporting.scan_pages import write_quality, write_refusal_page
