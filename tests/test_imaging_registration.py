@@ -113,6 +113,8 @@ def test_unrelated_markers_three_of_many_and_understated_noise_are_refused():
     rng = np.random.default_rng(8)
     others = rng.uniform(-40, 40, (7, 3))
     assert "no pairing" in refused(others, LAYOUT, 0.1)
+    for few in (others[:0], others[:2]):
+        assert "three or more" in refused(few, LAYOUT, 0.1)
     assert "mirrored" in refused(FOUND * [1, -1, 1], LAYOUT, 0.1)
     assert "no pairing" in refused(np.concatenate([FOUND[:3], others[:2]]), LAYOUT[[0, 1, 2, 4]], 0.1)
     rng = np.random.default_rng(9)

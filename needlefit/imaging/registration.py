@@ -66,15 +66,6 @@ def register(
     likely.
     """
     here, there = (np.asarray(given, dtype=np.float64).reshape(-1, 3) for given in (found, known))
-    for points, name in ((here, "markers found in the scan"), (there, "known markers")):
-        if len(points) < 3:
-            raise DataError(
-                f"{len(points)} markers are too few",
-                expected="at least three markers that are not on a line",
-                fix="scan with all markers in view, list every marker of the layout, or place fiducials by "
-                "hand",
-                where=name,
-            )
     variance = np.square(np.broadcast_to(found_sd, len(here)))[:, None] + np.square(known_sd)
     variance = np.broadcast_to(variance, (len(here), len(there)))
     best, *others = fit_pairings(here, there, variance)
@@ -99,12 +90,10 @@ def register(
             fix="move or add a marker so that no two distances are alike",
             where="markers",
         )
-    single = {
-        f"{kind} markers without a partner": np.setdiff1d(np.arange(len(points)), best.pairs[:, side])
-        for side, (kind, points) in enumerate((("found", here), ("known", there)))
-    }
     listed = [
-        f"{name}: {', '.join(map(str, left))} (counted from 0)" for name, left in single.items() if len(left)
+        f"{kind} markers without a partner: {', '.join(map(str, left))} (counted from 0)"
+        for kind, points, paired in zip(("found", "known"), (here, there), best.pairs.T, strict=True)
+        if len(left := np.setdiff1d(np.arange(len(points)), paired))
     ]
     return replace(best, known=len(there), warnings=tuple(listed))
 
@@ -117,10 +106,10 @@ def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registr
     """
     most = min(len(found), len(known))
     # two thirds or more: few among many are part of something else, and fit where the spacing is wrong, too;
-    # three agree by chance, unless one of the sets has no more
-    least = max(4, most - most // 3)
+    # three agree by chance, unless one of the sets has no more, and two always
+    least = max(3, min(most, max(4, most - most // 3)))
     changes = cdist(found, found)[:, None, :, None] - cdist(known, known)[:, None]
-    for count in range(most, min(most, least) - 1, -1):
+    for count in range(most, least - 1, -1):
         limit = float(chdtri(3 * count - 6, PROBABILITY.FALSE_ALARM))  # that a right pairing hardly exceeds
         # two pairs of variances v that change a distance by D cost at least D^2 / (v_1 + v_2) in chi-squared
         near = changes**2 <= (limit + MIN_CHI2_GAP) * (variance[..., None, None] + variance)  # (M, N, M, N)
@@ -149,10 +138,10 @@ def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registr
             )
     raise DataError(
         f"no pairing of the {len(found)} found with the {len(known)} known markers fits within "
-        f"{np.sqrt(np.median(variance)):.2f} mm",
+        f"{np.sqrt(np.max(variance, initial=0.0)):.2f} mm",
         expected="three or more markers at distances as in the world, more if some are missing",
-        fix="look at the markers that were found; check the known ones, their unit, signs of axes and the "
-        "spacing of the voxels (mm); state larger deviations",
+        fix="scan with all markers in view; look at those that were found; check the known ones, their unit, "
+        "signs of axes and the spacing of the voxels (mm); state larger deviations",
         where="markers",
     )
 
