@@ -40,3 +40,8 @@ def test_every_key_of_a_file_is_explained():
     files = describe_files(list_records())
     keys = {key.key for _, tables in files for table in tables for key in table.keys}
     assert len(keys) > 150 and not [key for key in keys if not find_topics(key)]
+
+
+def test_the_tables_of_a_reconstruction_are_explained():
+    (passed,) = find_topics("passed.csv")
+    assert any(line.startswith("- level_hu: ") for line in passed.paragraphs) and find_topics("crossings.csv")

@@ -29,7 +29,7 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.kind import list_records
+from needlefit.studies.kind import KINDS, find_kind, list_records
 
 # ---- the keys of files, read out of the schemas that check them
 
@@ -241,6 +241,8 @@ def find_topics(name: str) -> list[Topic]:
     column = find_column(name)  # its name may have a number, such as mu3_pa
     if not matching and column.explanation:
         matching = [Topic(name, column.label, (column.explanation,))]
+    if not matching and name.endswith(".csv"):
+        matching = [*_describe_result(name)]
     # a key with its table, such as guide.thickness_mm
     return matching if matching or "." not in name else find_topics(name.rpartition(".")[2])
 
@@ -261,6 +263,15 @@ def _describe_files() -> Iterator[Topic]:
     for name, columns in group_values((column["table"], column) for column in read_input_columns()).items():
         lines = (f"- {column['column']}: {column['meaning']}" for column in columns)
         yield Topic(name, f"Columns of {name}", tuple(lines))
+
+
+def _describe_result(name: str) -> Iterator[Topic]:
+    """Yield the columns of the tables of results that are written as a file."""
+    for frames in (find_kind(kind).frames for kind in KINDS.names()):
+        columns = [find_column(key) for key in frames.get(name.removesuffix(".csv"), ())]
+        if columns:
+            lines = (f"- {column.key}: {column.explanation or column.label}" for column in columns)
+            yield Topic(name, f"Columns of {name}", tuple(lines))
 
 
 def _describe_keys() -> Iterator[Topic]:

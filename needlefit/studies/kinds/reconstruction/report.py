@@ -1,6 +1,6 @@
 """The report of a batch of reconstructed scans, written into the folder of their dataset."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -63,13 +63,16 @@ _REGISTERED_COLUMNS = (
     *("markers_from", "markers_found", "markers_known", "markers_paired", "fre_mm", "expected_fre_mm"),
     *("fre_p_value", "target_error_entry_mm", "target_error_tip_mm"),
 )
-_MARKER_COLUMNS = (
-    *("id", "found", "known", "found_x_mm", "found_y_mm", "found_z_mm", "found_sd_mm", "residual_x_mm"),
-    *("residual_y_mm", "residual_z_mm", "residual_mm"),
-)
-_CROSSING_COLUMNS = ("id", "number", "out_of", "into", "depth_mm", "depth_sd_mm", "x_mm", "y_mm", "z_mm")
-_PASSED_COLUMNS = ("id", "number", "part", "material", "begin_mm", "end_mm", "level_hu")
-_DEFLECTION_COLUMNS = ("id", "x_mm", "y_mm", "low_mm", "high_mm")
+FRAMES: Mapping[str, tuple[str, ...]] = {
+    "markers": (
+        *("id", "found", "known", "found_x_mm", "found_y_mm", "found_z_mm", "found_sd_mm", "residual_x_mm"),
+        *("residual_y_mm", "residual_z_mm", "residual_mm"),
+    ),
+    "crossings": (*("id", "number", "out_of", "into", "depth_mm", "depth_sd_mm", "x_mm", "y_mm", "z_mm"),),
+    "passed": ("id", "number", "part", "material", "begin_mm", "end_mm", "level_hu"),
+    "remarks": ("id", "note"),
+    "deflections": ("id", "x_mm", "y_mm", "low_mm", "high_mm"),
+}
 MAX_DRAWN_POINTS = 60  # of a needle in the figure
 
 
@@ -113,7 +116,7 @@ def tabulate_batch(
             "markers": tabulate_markers(ones),
             "crossings": tabulate_crossings(ones),
             "passed": tabulate_passed(ones),
-            "remarks": pd.DataFrame(remarks, columns=["id", "note"]),
+            "remarks": pd.DataFrame(remarks, columns=list(FRAMES["remarks"])),
             "deflections": tabulate_deflections(ones),
         },
         metadata=RunMetadata(
@@ -138,7 +141,7 @@ def tabulate_markers(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
         for (detected, stated), residual in zip(fit.pairs, fit.residuals, strict=True):
             place = (reconstruction.scan.id, detected, stated, *markers.centers[detected])
             rows.append((*place, markers.sd[detected], *residual, np.linalg.norm(residual)))
-    return pd.DataFrame(rows, columns=list(_MARKER_COLUMNS))
+    return pd.DataFrame(rows, columns=list(FRAMES["markers"]))
 
 
 def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
@@ -149,7 +152,7 @@ def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFram
         for layers in [reconstruction.layers]
         for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True))
     ]
-    return pd.DataFrame(rows, columns=list(_CROSSING_COLUMNS))
+    return pd.DataFrame(rows, columns=list(FRAMES["crossings"]))
 
 
 def tabulate_passed(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
@@ -159,7 +162,7 @@ def tabulate_passed(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
         for reconstruction in reconstructions
         for n, run in enumerate(reconstruction.passed, start=1)
     ]
-    return pd.DataFrame(rows, columns=list(_PASSED_COLUMNS))
+    return pd.DataFrame(rows, columns=list(FRAMES["passed"]))
 
 
 def tabulate_deflections(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
@@ -173,7 +176,7 @@ def tabulate_deflections(reconstructions: Sequence[Reconstruction]) -> pd.DataFr
             (reconstruction.scan.id, x, y, y - h, y + h)
             for (x, y, _), h in zip(reconstruction.local[points], half, strict=True)
         ]
-    return pd.DataFrame(rows, columns=list(_DEFLECTION_COLUMNS))
+    return pd.DataFrame(rows, columns=list(FRAMES["deflections"]))
 
 
 def describe_scan(reconstruction: Reconstruction) -> Row:
