@@ -34,7 +34,8 @@ class Draft:
         self.assumed = dict[str, str]()
         self.opens = list[Question]()
         self.unused = list[tuple[str, str]]()  # what, and where it stands
-        self.ignored = dict[str, str]()  # why nothing is read of a file, or of its sheets
+        # why nothing is read of a file, or of its sheets, and the columns of numbers that are not known
+        self.ignored = dict[str, tuple[str, list[str]]]()
         self.headers = list[str]()  # of all tables
         self.columns_read = set[str]()  # meanings whose stated columns are there
         self.names = dict[Path, str]()  # what files are called

@@ -3,10 +3,11 @@
 It reads no needle: a person sees what is proposed, and `read` goes by that.
 """
 
+import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import permutations
+from itertools import permutations, product
 from pathlib import Path
 
 from needlefit.datasets.folds import MAX_NAMED_SPECIMENS
@@ -116,15 +117,22 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
         meanings = {*draft.columns}.union(*(table["columns"] for table in draft.tables))
         needed = [key for key in ("depth", "deflection") if key not in meanings]
         numbers = [key.partition(".")[2] for key in draft.assumed if key.startswith("unused.")]
+        numbers += [name for _, names in draft.ignored.values() for name in names]
         for key in needed if len(needed) < 2 else "xy":
             lengths = [name for name in numbers if read_header(name).unit in ("", "px", *UNITS_MM)]
             answers = {name: {f"{key}.column": name} for name in lengths}
+            if key == "x" and draft.ignored:
+                answers |= {f"{name}, a depth": {"depth.column": name} for name in lengths}
             text = f"{MEANINGS[key].text} ({problem or paths[0]})"
             draft.ask("column", str(paths[0]), answers, key=key, text=text)
     read = {name for table in draft.tables for name in table["files"]}
     for path in paths if not draft.opens else ():
         if (name := draft.names.get(path, "")) in draft.ignored.keys() - read:
-            draft.ask("ignored", name, name=name, why=draft.ignored[name])
+            why, columns = draft.ignored[name]
+            answers = {"leave it out": {"unused": json.dumps([name])}}
+            for column, key in product(columns, ("x", "y", "depth", "deflection")):
+                answers |= {} if key in draft.columns else {f"{column} is {key}": {f"{key}.column": column}}
+            draft.ask("ignored", name, answers, name=name, why=why)
     return draft, files
 
 
@@ -334,7 +342,7 @@ def draft_entries(table: Table, keys: Keys, draft: Draft) -> None:
     for kind in sorted(list_kinds(), key=lambda kind: kind.name != stated):
         if entries := kind.propose(columns, kind.name == stated):
             columns.keys["holds"] = kind.name
-            _name_unused(columns)
+            _name_unused(columns, kind.has_points)
             for name, of_needle in entries.items():
                 # the needle is shown first
                 _add_entry(columns, kind, name, columns.taken | of_needle | columns.taken)
@@ -343,15 +351,16 @@ def draft_entries(table: Table, keys: Keys, draft: Draft) -> None:
     problem = f"no column is known to hold coordinates: {headers or 'no headers'}"
     draft.unused.append((f"table {columns.where}", problem))
     if not OF_LAYERS & {column.meaning for column in columns.all}:
-        draft.ignored[draft.names[table.path]] = problem
+        names = [str(column.name) for column in columns.list_unknown()]
+        draft.ignored[draft.names[table.path]] = problem, names
     elif "boundaries" not in draft.values:
         columns.ask("table", name=columns.name, headers=headers)
 
 
-def _name_unused(columns: TableDraft) -> None:
+def _name_unused(columns: TableDraft, has_points: bool) -> None:
     """Name columns that nothing uses; numbers under an unknown header are assumed to mean nothing.
 
-    Of a column of two directions under an unknown header a person is asked.
+    A person is asked about one of two directions, or of texts that may name needles.
     """
     for column in columns.list_free():
         texts = {*column.texts}
@@ -360,10 +369,13 @@ def _name_unused(columns: TableDraft) -> None:
         )
         if are_sides and not column.is_known:
             columns.ask_meaning(column, ["bevel_side", ""], {})
+        are_names = has_points and 1 < len(texts) <= len(column.texts) / 2 and not columns.names
+        if are_names and not column.is_known and all(map(float.is_integer, column.numbers)):
+            columns.ask_meaning(column, ["needle", "bevel_side", ""], {})
     columns.draft.unused += [
         (f"column {column.name}", columns.where)
         for column in columns.all
-        if column.place not in columns.used and column.texts and column.meaning != "unit"
+        if column.place not in columns.used and column.texts and column.meaning not in ("unit", "pixel")
     ]
     names = [column.name for column in columns.list_unknown()]
     for name in names:
@@ -406,18 +418,21 @@ def _add_unit(
     """Add a unit that the header does not state."""
     draft, table, usual = columns.draft, columns.table, MEANINGS[meaning].unit
     unit, is_pixel = draft.unit, record.get("unit") == "px"
+    beside = {column.meaning: column.name for column in reversed(columns.all) if column.texts}
     is_free = (meaning in COORDINATES or is_pixel) and table.system is None
     is_step = any(map(str.isdigit, unit))  # of a pixel: no unit of lengths in mm
     has_unit = record.get("unit", "px") != "px"
     if unit and is_free and not (has_unit and (is_step or not is_point)):
         record["unit"] = unit  # of points also beside a header that states another one
+    elif not has_unit and (is_pixel or meaning in "xyz") and "pixel" in beside:
+        record.pop("unit", None)
+        record["unit_column"] = beside["pixel"]
     elif usual in ("mm", "1/mm", "GPa") and not record.keys() & {"unit", "unit_column"}:
         is_fact = usual == "1/mm" or (meaning in ATTRIBUTES and not is_point)
         is_bare = is_fact and any(list_bare_numbers(text) for column in taken for text in column.texts)
         unit = table.unit if usual == "mm" else ""
-        units = [column.name for column in columns.all if column.meaning == "unit" and column.texts]
-        if units:
-            record["unit_column"] = units[0]
+        if "unit" in beside:
+            record["unit_column"] = beside["unit"]
             return
         if unit and (is_free or is_bare):
             record["unit"] = unit

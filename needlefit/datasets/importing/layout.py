@@ -278,7 +278,7 @@ def is_comment(row: Sequence[str], comment: str) -> bool:
 
 
 BLOCK = "block"  #: header of the numbers of blocks, where there are several
-REMARKED = {"needle", "unit", *ATTRIBUTES}  #: what a line above a table may state
+REMARKED = {"needle", "unit", "pixel", *ATTRIBUTES}  #: what a line above a table may state
 OF_TEXT = ("needle", "medium", "specimen", "medium|specimen")  #: whose values are any text
 OWN_PAIRS = ("needle", "depth", "bevel_side", "medium", "specimen")  #: they end with their block
 

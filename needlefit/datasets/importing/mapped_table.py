@@ -18,6 +18,7 @@ from needlefit.datasets.importing.meanings import (
     VECTORS,
     find_meaning,
     list_factors,
+    read_header,
     scale_unit,
 )
 from needlefit.datasets.importing.stated import Stated, name_set
@@ -121,7 +122,10 @@ class MappedTable(Table):
         record = self.record.columns[meaning]
         if record.unit_column is None:
             return record.unit
-        text = self.rows[n][self.find_column(meaning, record.unit_column)]
+        column = self.find_column(meaning, record.unit_column)
+        text = self.rows[n][column]
+        if (size := self.number(text)) is not None:  # of a pixel
+            return f"{size:.10g} {read_header(self.headers[column]).unit.partition('/')[0] or 'mm'}"
         return find_meaning("unit", text) or text
 
     def read_factor(self, meaning: str, n: int) -> float:
