@@ -7,15 +7,7 @@ from numpy.random import default_rng
 from pytest import approx
 
 from needlefit.errors import FitError, ModelError
-from needlefit.inference.fit import (
-    Callbacks,
-    EvaluationRecorder,
-    Fit,
-    ObjectiveFunction,
-    Start,
-    keep_fit,
-    read_fit,
-)
+from needlefit.inference.fit import Callbacks, EvaluationRecorder, Fit, ObjectiveFunction, Start
 from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.inference.optimize import minimize, run_gauss_newton, starting_points
 from needlefit.project.callbacks import never_stop
@@ -64,9 +56,9 @@ def test_fits_go_through_a_checkpoint_and_more_starts_fill_the_box(tmp_path):
     fit = Fit(theta, {"mu1_pa": theta[0]}, theta[1], (start,), 7, 7, False, held=("alpha1",))
     checkpoint = open_checkpoint(tmp_path / "c", False, {})
     checkpoint.keep_row("fold", {"index": 1})
-    assert read_fit(checkpoint, "fold") is None
-    keep_fit(checkpoint, "fold", fit)
-    assert read_fit(checkpoint, "fold") == fit
+    assert checkpoint.read("fold", Fit) is None
+    checkpoint.keep("fold", fit)
+    assert checkpoint.read("fold", Fit) == fit
     lower, upper = np.array([0.0, 10.0]), np.array([1.0, 20.0])
     few, many = (starting_points(lower, upper, n, default_rng(2)) for n in (8, 64))
     assert np.array_equal(few, many[:8])

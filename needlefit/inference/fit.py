@@ -7,7 +7,7 @@ have an exact Jacobian, or the metric objective, which has an exact gradient.
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -16,7 +16,6 @@ from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.project.callbacks import Step, never_stop, no_step
-from needlefit.project.checkpoint import Checkpoint
 from needlefit.schemas.recipe import ObjectiveName
 
 INTERRUPTED = "interrupted"
@@ -85,16 +84,6 @@ class Fit:
         if any(start.stopped == "budget" for start in self.starts):
             fix = "raise `evaluations` in the recipe"
         return f"no start of the search ended at a minimum ({reasons}); {fix}"
-
-
-def keep_fit(checkpoint: Checkpoint, search: str, fit: Fit) -> None:
-    """Store the fit of one search."""
-    checkpoint.keep_row(search, asdict(fit))
-
-
-def read_fit(checkpoint: Checkpoint, search: str) -> Fit | None:
-    """Return the fit of one search that a checkpoint keeps; None if it keeps none."""
-    return checkpoint.read(search, Fit)
 
 
 @dataclass(frozen=True)

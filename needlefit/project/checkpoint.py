@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from pydantic import TypeAdapter
-
 from needlefit.errors import ConfigError, DataError, UnfinishedWorkError
 from needlefit.project.callbacks import Note, no_note
 from needlefit.project.folders import (
@@ -30,6 +28,7 @@ from needlefit.project.folders import (
     take_lock,
 )
 from needlefit.project.input_files import digest_values, parse_json, read_bytes
+from needlefit.project.stored_values import decode, encode
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock
@@ -68,8 +67,13 @@ class Checkpoint:
         """Return the first row of one work that is a dataclass of a kind; None if there is none."""
         for row in self.rows(work):
             with suppress(ValueError):  # a row of something else, however whole
-                return TypeAdapter(kind).validate_python(row)
+                value: T = decode(row, kind)
+                return value
         return None
+
+    def keep(self, work: str, value: object) -> None:
+        """Store a dataclass, as `read` returns it."""
+        self.keep_row(work, encode(value))
 
     def keep_row(self, work: str, row: Mapping[str, Any]) -> None:
         """Store a row of JSON values; every float survives exactly.

@@ -10,7 +10,7 @@ from needlefit.datasets.folds import Fold, divide_insertions
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
 from needlefit.inference import specimens
-from needlefit.inference.fit import Callbacks, Fit, keep_fit, read_fit
+from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.identifiability.information import add_estimated_noise
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
@@ -55,14 +55,14 @@ def search_fit(
     Raises FitError if the search finds no point that can be solved.
     """
     key = "/".join([fold.name, search, *job.parameters.held, *["again"] * (job.response_at is not None)])
-    if kept := read_fit(checkpoint, key):
+    if kept := checkpoint.read(key, Fit):
         return kept
     step(0, 1)
     rng = job.random(fold.name, search, "starts")
     callbacks = Callbacks(settings.stop, step, settings.jobs)
     fit = minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
     if not fit.interrupted:
-        keep_fit(checkpoint, key, fit)
+        checkpoint.keep(key, fit)
     return fit
 
 

@@ -112,7 +112,7 @@ def _results(folder):
 
 def _checkpoint(folder):
     kept = _late("project.checkpoint.open_checkpoint")(folder, True, seeds.WORK)
-    return _late("inference.fit.read_fit")(kept, "fit"), kept.rows("rows"), kept.rows("arrays")
+    return kept.read("fit", _late("inference.fit.Fit")), kept.rows("rows"), kept.rows("arrays")
 
 
 # ---- texts

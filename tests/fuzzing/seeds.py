@@ -265,14 +265,14 @@ WORK = {"study": "fuzzed", "seed": 1}
 
 def checkpoints():
     """The checkpoint of a run: a fit that has ended, and rows."""
-    from needlefit.inference.fit import Fit, Start, keep_fit
+    from needlefit.inference.fit import Fit, Start
     from needlefit.project.checkpoint import open_checkpoint
 
     def write(folder):
         kept = open_checkpoint(folder / "run.partial", False, WORK)
         for n in range(3):
             start = Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 0, "tolerance")
-            keep_fit(kept, "fit", Fit(start.theta, {"b": 0.1}, 3.5, (start,), 40, 0, False))
+            kept.keep("fit", Fit(start.theta, {"b": 0.1}, 3.5, (start,), 40, 0, False))
             kept.keep_row("rows", {"insertion": f"a-{n}", "te_mm": 0.1 + n})
 
     return [written(write, "run.partial")]
