@@ -92,7 +92,11 @@ AREAS = {
         ("inference/specimens.py",), ("inference_specimens", "validation_heldout", "validation_forecast")
     ),
     "predictions": Area(
-        ("inference/predict.py", "inference/likelihood/observations/tip_track.py"),
+        (
+            "inference/predict.py",
+            "inference/later_readings.py",
+            "inference/likelihood/observations/tip_track.py",
+        ),
         (
             *("inference_predict", "point_predictions", "inference_tracks", "inference_space"),
             "validation_heldout",

@@ -38,6 +38,7 @@ from needlefit.datasets.folds import Fold
 from needlefit.datasets.read import inspect, read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import compare_curves
+from needlefit.inference import later_readings
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.forward_model import find_end, respond_to_moves, scale_moves, share_simulations
 from needlefit.inference.likelihood.nodes import CARRIED
@@ -289,7 +290,7 @@ def test_later_readings_do_not_enter_the_prediction(runs):
     later[5:] += 9.0
     other = replace(known[-1], measured=np.column_stack([DEPTH, later]))
     one, two = (
-        tip_track.predict_by_curve(BASELINES["straight"], known[:-1], at, 5, 0.01)
+        later_readings.predict_by_curve(BASELINES["straight"], known[:-1], at, 5, 0.01)
         for at in (known[-1], other)
     )
     assert np.array_equal(one, two)
@@ -315,7 +316,7 @@ def test_a_line_weighs_its_first_readings_against_the_slopes_of_other_runs(name,
     x, y = DEPTH[:first] - DEPTH[:first].mean(), tips[-1][:first]
     share = 1 / (1 + noise / (x @ x) / (variance * (1 + 1 / len(kinds[0]))))
     slope = share * (x @ y) / (x @ x) + (1 - share) * np.mean(kinds[0])
-    found = tip_track.predict_by_curve(BASELINES[name], seen[:-1], seen[-1], first, slope_sd)
+    found = later_readings.predict_by_curve(BASELINES[name], seen[:-1], seen[-1], first, slope_sd)
     assert found == approx(y.mean() + slope * (DEPTH[first:] - DEPTH[:first].mean()), rel=1e-3)
 
 
@@ -357,7 +358,7 @@ def test_intervals_of_further_runs_cover_in_groups_with_errors():
 
     def forecast(sets, draw=None):
         many = [np.repeat(curve, sets, axis=0) for curve in curves]
-        (found,) = tip_track.predict_runs(np.ones(sets), seen[:-1], seen[-1:], many, [4], draw)
+        (found,) = later_readings.predict_runs(np.ones(sets), seen[:-1], seen[-1:], many, [4], draw)
         return found
 
     levels, count = [], 100

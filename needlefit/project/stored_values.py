@@ -30,16 +30,17 @@ def encode(value: object) -> Any:  # noqa: ANN401 - whatever JSON holds
 
 
 def decode(values: Any, kind: Any) -> Any:  # noqa: ANN401 - whatever JSON holds
-    """Return what `encode` made these values of, by its type: a tuple of dataclasses.
+    """Return what `encode` made these values of, by its type: a dataclass, or a tuple of such.
 
     ValueError if they are of another.
     """
-    return _adapt(kind).validate_python(_restore(values))
+    return _adapt(kind).validate_python((_restore(values),))[0]
 
 
 @lru_cache(maxsize=4)  # such an adapter is made of the types of all fields
 def _adapt(kind: Any) -> TypeAdapter[Any]:  # noqa: ANN401 - a type, or a union of them
-    return TypeAdapter(kind, config=ConfigDict(arbitrary_types_allowed=True))
+    # a configuration cannot be stated for a dataclass itself
+    return TypeAdapter(tuple[kind], config=ConfigDict(arbitrary_types_allowed=True))
 
 
 def _restore(value: Any) -> Any:  # noqa: ANN401 - whatever JSON holds

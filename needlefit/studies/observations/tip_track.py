@@ -18,16 +18,15 @@ from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.draw_simulation import vary_bevels
 from needlefit.inference.forward_model import PreparedModel
-from needlefit.inference.likelihood.observation import Observation
-from needlefit.inference.likelihood.observations import make_observation
-from needlefit.inference.likelihood.observations.tip_track import (
+from needlefit.inference.later_readings import (
     MIN_TUNED_RUNS,
     PredictedReadings,
-    follow_guide,
     predict_by_curve,
     predict_runs,
-    split_directions,
 )
+from needlefit.inference.likelihood.observation import Observation
+from needlefit.inference.likelihood.observations import make_observation
+from needlefit.inference.likelihood.observations.tip_track import follow_guide, split_directions
 from needlefit.inference.parameter_names import NOISE_SCALE
 from needlefit.inference.predict import PointPrediction, choose_point
 from needlefit.inference.problem import Problem
