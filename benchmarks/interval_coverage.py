@@ -30,7 +30,7 @@ from needlefit import Run
 from needlefit.datasets.first_study import describe_scene
 from needlefit.errors import NeedlefitError
 from needlefit.inference.forward_model import ParameterDraws
-from needlefit.inference.predict import wilson_interval
+from needlefit.inference.proportion import wilson_interval
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.planning.goals import Goal, find_hits
 from needlefit.planning.steering import plan_steering

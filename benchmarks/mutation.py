@@ -79,7 +79,7 @@ AREAS = {
         ("inference/error_fit.py",),
         ("inference_error_fit",),
     ),
-    "held": Area(("inference/predict.py",), ("inference_held",)),
+    "held": Area(("inference/draws.py", "inference/prior_shift.py"), ("inference_held",)),
     "judge": Area(("studies/judge.py",), ("judge",)),
     "parameters": Area(
         ("inference/parameters.py", "inference/prior.py", "inference/parameter_changes.py"),
@@ -93,7 +93,8 @@ AREAS = {
     ),
     "predictions": Area(
         (
-            "inference/predict.py",
+            "inference/predictive_mixture.py",
+            "inference/point_prediction.py",
             "inference/later_readings.py",
             "inference/likelihood/observations/tip_track.py",
         ),

@@ -24,10 +24,10 @@ from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.insertion import Insertion as Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
+from needlefit.inference.draws import thin_posterior
 from needlefit.inference.ecdf_band import ecdf_band as ecdf_band
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
-from needlefit.inference.predict import thin_posterior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import WeightedDraws, sample_about_fit
 from needlefit.inference.sampling.pareto_smoothing import MAX_PARETO_K, leave_out_parts

@@ -16,7 +16,7 @@ import needlefit
 from needlefit import api
 from needlefit.errors import ConfigError
 from needlefit.inference import optimize
-from needlefit.inference import predict as held
+from needlefit.inference import prior_shift as held
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.studies import fold_draws, from_memory
 from needlefit.studies.kinds.prediction import run as prediction

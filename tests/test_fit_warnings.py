@@ -20,7 +20,7 @@ from needlefit.datasets.read import read
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError
 from needlefit.inference.doubts import examine_depths
-from needlefit.inference.predict import Draws
+from needlefit.inference.draws import Draws
 from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.study import StudyRecord

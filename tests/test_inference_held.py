@@ -17,7 +17,7 @@ from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameter_changes import change_parameters, name_layers, search_freed
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.predict import central_range, draw_held, log_prior_integral, measure_shifts
+from needlefit.inference.prior_shift import central_range, draw_held, log_prior_integral, measure_shifts
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
 from needlefit.inference.sampling.sample import sample
 from needlefit.mechanics.shape import sample_inserted_points

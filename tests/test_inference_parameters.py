@@ -8,8 +8,8 @@ from refusals import refusal
 from scipy.stats import kstest
 
 from needlefit.errors import ConfigError
+from needlefit.inference.draws import draw_from_prior
 from needlefit.inference.parameters import Parameters, make_tissue, with_hyperparameters, without_prior
-from needlefit.inference.predict import draw_from_prior
 from needlefit.schemas.medium import ParameterRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 

@@ -12,22 +12,20 @@ from scipy.special import ndtr, ndtri
 from needlefit import Bevel, Controls, ModelOptions, Needle, Tissue, simulate
 from needlefit.geometry.curves import COMPARISON_POINTS, integrate_curvature
 from needlefit.inference.baseline_fit import fit_baseline
+from needlefit.inference.draws import Draws, rms_noise_scale
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.compared_points import align_points
 from needlefit.inference.likelihood.observations import select_points
 from needlefit.inference.parameters import make_tissue
-from needlefit.inference.predict import (
-    Draws,
+from needlefit.inference.predictive_mixture import (
     PredictiveMixture,
     cdf,
     crps,
     estimate_end_errors,
-    estimate_proportion,
     interval,
     quantile,
-    rms_noise_scale,
-    wilson_interval,
 )
+from needlefit.inference.proportion import estimate_proportion, wilson_interval
 from needlefit.mechanics.packing import MAX_TOLERANCE_MM
 from needlefit.schemas.scene import NeedleRecord
 

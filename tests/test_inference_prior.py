@@ -11,9 +11,9 @@ from refusals import refusal
 from scipy import stats
 
 from needlefit.errors import ConfigError
+from needlefit.inference.draws import draw_from_prior
 from needlefit.inference.parameter_changes import set_material_prior
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.predict import draw_from_prior
 from needlefit.project.toml import check
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, PriorRecord
 

@@ -34,7 +34,7 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.likelihood.pose_errors import turn_about_x
 from needlefit.inference.parameters import make_tissue
-from needlefit.inference.predict import find_geometric_median
+from needlefit.inference.predictive_mixture import find_geometric_median
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.torsion import compute_roll_lag
 from needlefit.planning.insertion_scene import make_scene_record

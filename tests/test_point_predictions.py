@@ -12,7 +12,7 @@ from research.simulated_data import simulate_dataset
 from needlefit import minimize
 from needlefit.inference.likelihood.compared_points import align_points
 from needlefit.inference.likelihood.observations import select_points
-from needlefit.inference.predict import PointPrediction, choose_point
+from needlefit.inference.point_prediction import PointPrediction, choose_point
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord

@@ -16,9 +16,9 @@ from needlefit.datasets.formats.markups import read_markups
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.segmentations import read_labels
 from needlefit.imaging.volume import to_patient
+from needlefit.inference.draws import Draws
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
-from needlefit.inference.predict import Draws
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting.slicer import write_needles
 from needlefit.schemas.run_metadata import CountMetadata

@@ -16,8 +16,8 @@ from needlefit import Needle, compute_positions
 from needlefit.cli.options import scene_record
 from needlefit.errors import ConfigError
 from needlefit.inference.curve_bands import predict_bands
+from needlefit.inference.draws import Draws
 from needlefit.inference.identifiability.loosened_assumptions import find_model_error
-from needlefit.inference.predict import Draws
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.callbacks import no_note
 from needlefit.project.locate import find_file

@@ -15,6 +15,7 @@ from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.select import find_hole_source, find_repeats, group_insertions, name_holes
 from needlefit.inference.draw_simulation import draw_depth_errors, draw_entry_errors, simulate_draws
+from needlefit.inference.draws import Draws
 from needlefit.inference.forward_model import predict, with_planned_layers
 from needlefit.inference.likelihood.nodes import shift_depths
 from needlefit.inference.likelihood.observations import make_observation, read_points
@@ -22,7 +23,7 @@ from needlefit.inference.likelihood.observations.curvature import surround_senso
 from needlefit.inference.likelihood.pose_errors import pose_sds
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_bevel_spread, without_prior
-from needlefit.inference.predict import Draws, PredictiveMixture
+from needlefit.inference.predictive_mixture import PredictiveMixture
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord

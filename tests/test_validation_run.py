@@ -20,8 +20,8 @@ from needlefit.datasets.select import select_same_needle
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import integrate_curvature
 from needlefit.geometry.surfaces import make_sheet
+from needlefit.inference.draws import Draws
 from needlefit.inference.forward_model import predict
-from needlefit.inference.predict import Draws
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_warnings import list_outside, tabulate_validity

@@ -36,7 +36,7 @@ from needlefit.inference.fit import (
 )
 from needlefit.inference.least_squares import certify_minimum, find_step, run_least_squares
 from needlefit.inference.metric_objective import SMOOTHING_MM, WeightedDistances
-from needlefit.inference.predict import central_range, measure_shifts
+from needlefit.inference.prior_shift import central_range, measure_shifts
 from needlefit.inference.problem import Problem, make_objective
 from needlefit.inference.sampling.importance import find_modes
 from needlefit.inference.side_by_side import run_side_by_side

@@ -28,10 +28,10 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from needlefit.arrays import Floats, log_sum_exp
+from needlefit.inference.draws import Source
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.predict import Source
 from needlefit.inference.prior import Prior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import (

@@ -23,7 +23,7 @@ import numpy as np
 from needlefit.arrays import Bools, Floats
 from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
-from needlefit.inference.predict import wilson_interval
+from needlefit.inference.proportion import wilson_interval
 from needlefit.mechanics.batch import Batch, NeedleShapes, read_batches, simulate_batches
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.needle import Needle

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from needlefit.inference.predict import Draws
+from needlefit.inference.draws import Draws
 from needlefit.metrics import METRICS, TE
 from needlefit.project.help_pages import read_sections
 from needlefit.project.locate import format_path

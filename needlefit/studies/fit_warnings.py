@@ -20,7 +20,7 @@ from needlefit.inference.identifiability.directions import (
 from needlefit.inference.parameter_names import BEVEL_SPREAD, HYPERPARAMETERS, is_shape_parameter
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.plausible import compute_cut_angle, list_implausible
-from needlefit.inference.predict import PointPrediction
+from needlefit.inference.point_prediction import PointPrediction
 from needlefit.mechanics.published import read_cut_angles, read_moduli
 from needlefit.mechanics.shape import LIMITS
 from needlefit.project.result_warnings import ResultWarning

@@ -10,11 +10,12 @@ from needlefit.datasets.folds import Fold, divide_insertions
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
 from needlefit.inference import specimens
+from needlefit.inference.draws import Draws, thin_posterior
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.identifiability.information import add_estimated_noise
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
-from needlefit.inference.predict import Draws, PriorShift, draw_held, measure_shifts, thin_posterior
+from needlefit.inference.prior_shift import PriorShift, draw_held, measure_shifts
 from needlefit.inference.problem import Problem, find_new_bevel_sd
 from needlefit.inference.sampling.importance import (
     LARGER_EFFORT,

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
+from needlefit.inference.draws import Draws
 from needlefit.inference.identifiability import directions
 from needlefit.inference.identifiability.fit_profiles import FitProfiles, is_determined_by_profile
 from needlefit.inference.identifiability.information import prior_information
@@ -20,7 +21,8 @@ from needlefit.inference.identifiability.profile import DEVIANCE_95
 from needlefit.inference.identifiability.verdict import Identifiability
 from needlefit.inference.parameter_names import is_logarithmic, to_coordinate, to_value
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.predict import Draws, PriorShift, central_range, estimate_end_errors
+from needlefit.inference.predictive_mixture import estimate_end_errors
+from needlefit.inference.prior_shift import PriorShift, central_range
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.reporting.number_format import (

@@ -16,11 +16,11 @@ from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.geometry.frames import Placement
 from needlefit.inference.curve_bands import find_bands
+from needlefit.inference.draws import Draws
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.likelihood.compared_points import align
 from needlefit.inference.likelihood.observations import SimulatedCurve, select_points
-from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.reporting.table_files import Row

@@ -16,16 +16,15 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.curve_bands import CurveBands
 from needlefit.inference.likelihood.observations.curvature import SENSOR_STEP_MM
-from needlefit.inference.predict import (
+from needlefit.inference.predictive_mixture import (
     INTERVAL_PROBABILITIES,
     PredictiveMixture,
-    Proportion,
     cdf,
     crps,
-    estimate_proportion,
     interval,
     quantile,
 )
+from needlefit.inference.proportion import Proportion, estimate_proportion
 from needlefit.metrics import CURVATURE_RMS, OVER_NOISE, TE, TRACK_RMS, verdict_metrics
 from needlefit.reporting.table_files import Row
 

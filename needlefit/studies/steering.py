@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, ModelError
+from needlefit.inference.draws import draw_from_prior
 from needlefit.inference.forward_model import ParameterDraws, make_options, select_layer_draws
 from needlefit.inference.likelihood.observations.curvature import SECOND_DIFFERENCE, SENSOR_STEP_MM, surround
 from needlefit.inference.parameters import Parameters, make_tissue
-from needlefit.inference.predict import draw_from_prior
 from needlefit.mechanics.batch import (
     Batch,
     NeedleShapes,

@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.insertion import Dataset
+from needlefit.inference.draws import Draws, thin_posterior
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
-from needlefit.inference.predict import Draws, thin_posterior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
 from needlefit.inference.sampling.sample import sample

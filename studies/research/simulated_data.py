@@ -13,12 +13,12 @@ from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError, FitError
 from needlefit.geometry.frames import Frame
+from needlefit.inference.draws import draw_from_prior
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood import nodes
 from needlefit.inference.likelihood.observations import OBSERVATIONS, TrueNeedle, measure
 from needlefit.inference.likelihood.stated_errors import StatedErrors
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, find_bevel_factors
-from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
 from needlefit.project.input_files import digest_values

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from needlefit.arrays import Bools, Floats, log_sum_exp
+from needlefit.inference.draws import Draws
 from needlefit.inference.fit import EVALUATION_ERRORS, Fit
 from needlefit.inference.identifiability.directions import UNINFORMED_SD_RATIO
 from needlefit.inference.identifiability.information import add_estimated_noise
@@ -39,7 +40,7 @@ from needlefit.inference.identifiability.profile import (
 )
 from needlefit.inference.parameter_names import BEVEL_SPREAD
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.predict import Draws, draw_held, log_prior_integral
+from needlefit.inference.prior_shift import draw_held, log_prior_integral
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.interpolated_density import InterpolatedDensity
 from needlefit.inference.sampling.pareto_smoothing import MAX_PARETO_K, smooth_weights

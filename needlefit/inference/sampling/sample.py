@@ -8,9 +8,9 @@ from itertools import islice
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.inference.draws import draw_from_prior
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import importance
 from needlefit.inference.sampling.importance import Evaluator, LogDensityFunction

@@ -34,7 +34,7 @@ from needlefit.inference.identifiability.verdict import find_together
 from needlefit.inference.likelihood.nodes import make_group
 from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE
-from needlefit.inference.predict import measure_shifts
+from needlefit.inference.prior_shift import measure_shifts
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import Effort, sample_about_modes
 from needlefit.inference.sampling.pareto_smoothing import MAX_PARETO_K

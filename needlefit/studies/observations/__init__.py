@@ -13,9 +13,11 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, name_holes
 from needlefit.grouping import group_values
 from needlefit.inference.curve_bands import CurveBands
+from needlefit.inference.draws import Draws
 from needlefit.inference.likelihood.compared_points import Curve
 from needlefit.inference.likelihood.observations import OBSERVATIONS
-from needlefit.inference.predict import Draws, PointPrediction, PredictiveMixture, crps
+from needlefit.inference.point_prediction import PointPrediction
+from needlefit.inference.predictive_mixture import PredictiveMixture, crps
 from needlefit.project.callbacks import Step, no_step
 from needlefit.registry import Registry
 from needlefit.reporting.figures import Drawing

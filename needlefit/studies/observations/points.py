@@ -30,18 +30,15 @@ from needlefit.inference.draw_simulation import (
     simulate_draws,
     vary_bevels,
 )
+from needlefit.inference.draws import rms_noise_scale
 from needlefit.inference.likelihood.compared_points import Curve, align
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import list_scored, make_observation, measures_tip
 from needlefit.inference.likelihood.observations.curvature import surround_sensors
 from needlefit.inference.likelihood.pose_errors import draw_rolls, turn_about_x
-from needlefit.inference.predict import (
-    PointPrediction,
-    PredictiveMixture,
-    choose_point,
-    find_geometric_median,
-    rms_noise_scale,
-)
+from needlefit.inference.point_prediction import PointPrediction, choose_point
+from needlefit.inference.predictive_mixture import PredictiveMixture, find_geometric_median
+from needlefit.inference.prior_shift import POINTS_AS_STORED
 from needlefit.inference.problem import Problem
 from needlefit.project.callbacks import Step
 from needlefit.project.copies import compute_in_copies
@@ -95,10 +92,9 @@ def predict_needles(
     if given and specimens.faults and (bands or specimens.separate):
         return
     # what is predicted are the stored points, as they will be measured
-    update = {"depths": "fixed", "bevel_spread": 0.0, "measurement": "points"}
     predictor = _Predictor(
         specimens,
-        job.recipe.likelihood.model_copy(update=update),
+        job.recipe.likelihood.model_copy(update=POINTS_AS_STORED),
         find_repeats(job.dataset),
         math.ceil(jobs / max(1, len(given))),
         bands,

@@ -13,10 +13,10 @@ from needlefit.datasets.select import select_same_needle
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import compare_curves
 from needlefit.grouping import group_values
-from needlefit.inference import predict
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.draw_simulation import vary_bevels
+from needlefit.inference.draws import Draws
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.later_readings import (
     MIN_TUNED_RUNS,
@@ -28,7 +28,8 @@ from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.likelihood.observations.tip_track import follow_guide, split_directions
 from needlefit.inference.parameter_names import NOISE_SCALE
-from needlefit.inference.predict import PointPrediction, choose_point
+from needlefit.inference.point_prediction import PointPrediction, choose_point
+from needlefit.inference.predictive_mixture import PredictiveMixture
 from needlefit.inference.problem import Problem
 from needlefit.metrics import TRACK_RMS
 from needlefit.project.callbacks import Step
@@ -341,13 +342,13 @@ def _describe_run(
     run: Insertion,
     placed: int,
     drawn: PredictedReadings,
-    draws: predict.Draws,
+    draws: Draws,
 ) -> Row:
     """Return the row of "predictive": the tip at the last reading along y, and all readings as a shape."""
     count = drawn.values.shape[1] // job.dataset.directions
     first, measured = run.points[0, 1], run.points[placed:, 1 : 1 + job.dataset.directions].T.ravel()
-    mixture = predict.PredictiveMixture(drawn.values, np.zeros(drawn.values.shape[1]))
-    along_y = predict.PredictiveMixture(drawn.values[:, :count] - first, np.zeros(count))
+    mixture = PredictiveMixture(drawn.values, np.zeros(drawn.values.shape[1]))
+    along_y = PredictiveMixture(drawn.values[:, :count] - first, np.zeros(count))
     row = {
         **describe_held_out(specimens, run, draws, mixture, measured, find_bands(drawn.values)),
         **score_tip(along_y, measured[:count] - first),

@@ -17,12 +17,13 @@ import numpy as np
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.doubts import examine_depths
+from needlefit.inference.draws import Draws
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start
 from needlefit.inference.identifiability.fit_profiles import FitProfiles, profile_parameters
 from needlefit.inference.identifiability.verdict import LOG_POSTERIOR_TOLERANCE, identify
 from needlefit.inference.likelihood.compared_points import Curve
-from needlefit.inference.predict import Draws, PriorShift
+from needlefit.inference.prior_shift import PriorShift
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.callbacks import Progress, no_progress

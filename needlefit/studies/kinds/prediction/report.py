@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from needlefit.inference.predict import INTERVAL_PROBABILITIES
+from needlefit.inference.predictive_mixture import INTERVAL_PROBABILITIES
 from needlefit.reporting.figures import Drawing, Look, Panel
 from needlefit.reporting.labels import METHOD_COLOURS
 from needlefit.reporting.number_format import format_to_error, is_known

@@ -20,18 +20,13 @@ from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.draw_simulation import draw_entry_errors, simulate_scene_draws, vary_bevels
+from needlefit.inference.draws import Draws, thin_posterior
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.identifiability.loosened_assumptions import find_model_error
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.likelihood.pose_errors import draw_rolls, turn_about_x
-from needlefit.inference.predict import (
-    INTERVAL_PROBABILITIES,
-    Draws,
-    PointPrediction,
-    choose_point,
-    estimate_end_errors,
-    thin_posterior,
-)
+from needlefit.inference.point_prediction import PointPrediction, choose_point
+from needlefit.inference.predictive_mixture import INTERVAL_PROBABILITIES, estimate_end_errors
 from needlefit.mechanics.scene import Scene
 from needlefit.project.callbacks import no_note
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
