@@ -252,8 +252,7 @@ def to_patient(volume: Volume | VoxelGrid, ijk: ArrayLike) -> Floats:
 def to_index(volume: Volume | VoxelGrid, points: ArrayLike) -> Floats:
     """Return the fractional indices i, j, k (N, 3) of LPS points (N, 3), mm; whole at voxel centres."""
     away = np.asarray(points, dtype=np.float64) - volume.origin
-    inverse = np.linalg.inv(volume.direction) if is_tilted(volume.direction) else volume.direction.T
-    return away @ inverse.T / volume.spacing
+    return away @ np.linalg.inv(volume.direction * volume.spacing).T
 
 
 def sample(volume: Volume, points: Floats) -> Floats:
@@ -307,23 +306,18 @@ def require_inside(volume: Volume, points: Floats, kind: str) -> None:
 MAX_EQUAL = 3  # voxels around a thing that have its largest value by chance
 
 
-def describe_content(volume: Volume) -> str:
-    """Return what a volume holds: its size, and the range of its values."""
+def explain_refusal(error: NeedlefitError, volume: Volume) -> NeedlefitError:
+    """Return why a scan is refused with what its volume holds, and first any doubt about its unit."""
+    doubts = [f"{doubt}. With these values: " for doubt in doubt_air(volume)]
     size, steps = (
         " x ".join(f"{length:.3g}" for length in lengths)
         for lengths in (volume.grid.size * volume.spacing, volume.spacing)
     )
     low, high = float(volume.values.min()), float(volume.values.max())
-    return (
-        f"the scan is {size} mm large, its voxels {steps} mm; its values are {low:.5g} to {high:.5g}, the "
-        f"median of what is denser than foam {volume.tissue:.0f}"
+    return error.replace(
+        what=f"{''.join(doubts)}{error.what}; the scan is {size} mm large, its voxels {steps} mm; its "
+        f"values are {low:.5g} to {high:.5g}, the median of what is denser than foam {volume.tissue:.0f}"
     )
-
-
-def explain_refusal(error: NeedlefitError, volume: Volume) -> NeedlefitError:
-    """Return why a scan is refused with what its volume holds, and first any doubt about its unit."""
-    doubts = [f"{doubt}. With these values: " for doubt in doubt_air(volume)]
-    return error.replace(what=f"{''.join(doubts)}{error.what}; {describe_content(volume)}")
 
 
 def doubt_air(volume: Volume) -> Iterator[str]:

@@ -1,18 +1,18 @@
 """Find the needle's voxels: tubes above thresholds, cut off from what is wider."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, find_objects, label
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.errors import DataError
-from needlefit.imaging.bright_voxels import MAX_LISTED_VOXELS
+from needlefit.imaging.bright_voxels import MAX_LISTED_VOXELS, list_bright_voxels
 from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.axis_spline import FEWEST, AxisSpline
 from needlefit.imaging.volume import Volume, to_patient
@@ -40,14 +40,8 @@ def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]
         return []
     away = _distance(~core, spacing)[tuple(((voxels - low) // every).T)]
     mask[tuple((voxels - low)[away <= 1.5 * radius + every * step].T)] = False
-    return [part + low for part in _list_parts(mask)]
-
-
-def _list_parts(mask: NDArray[np.bool_]) -> Iterator[Ints]:
-    """Yield the voxels (n, 3) of each part of a mask that hangs together, corners included."""
-    labels, _ = label(mask, structure=np.ones((3, 3, 3), dtype=np.bool_))
-    for number, box in enumerate(find_objects(labels), start=1):
-        yield np.argwhere(labels[box] == number) + np.array([side.start for side in box])
+    left = list_bright_voxels(mask.T.astype(np.float32), 0.5)
+    return [part + low for part in left.list_parts(0.5, corners=True)]
 
 
 def _distance(mask: NDArray[np.bool_], spacing: Floats) -> NDArray[np.float32]:

@@ -136,14 +136,9 @@ MAX_BEVEL_PULL_SD = 2.5
 MIN_BEVEL_PROBABILITY = 0.95  # probability from which on the side of the bevel is stated
 
 
-def side_probability(roll_sd: float) -> float:
-    """Return the probability that a bevel's point lies within 90 degrees of a roll of deviation `roll_sd`."""
-    return float(erf(np.pi / 2 / np.sqrt(2) / roll_sd))
-
-
 def point_bevel(u: Floats, v: Floats, roll: float, roll_sd: float) -> Floats:
     """Return the direction (3,) of the bevel's point, rolled from `u` to `v`; nan if its side is unsure."""
-    sided = side_probability(roll_sd) >= MIN_BEVEL_PROBABILITY
+    sided = erf(np.pi / 2 / np.sqrt(2) / roll_sd) >= MIN_BEVEL_PROBABILITY  # within 90 degrees
     return np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
 
 
