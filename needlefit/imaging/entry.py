@@ -115,14 +115,19 @@ def compare_poses(stage: EntryPose, shaft: EntryPose) -> tuple[float, str]:
     return worst, sentence
 
 
+def find_own_hits(points: Floats, surfaces: tuple[Surface, ...]) -> Floats:
+    """Return where along points (N, 3) they meet the tissue's own surface (`into = 1`), mm (M,)."""
+    hits = (find_surface_hits(points, surface) for surface in surfaces if surface.into == 1)
+    return np.concatenate([np.empty(0), *hits])
+
+
 def move_to_surface(pose: EntryPose, surfaces: tuple[Surface, ...]) -> EntryPose:
     """Return the pose with its origin where its axis meets the tissue's own surface (`into = 1`).
 
     Of several such places the one nearest to the origin counts; where there is none, the origin stays.
     """
     ends = pose.origin + np.outer([-MM.REACH, MM.REACH], pose.direction)
-    hits = [find_surface_hits(ends, surface) for surface in surfaces if surface.into == 1]
-    arcs = np.concatenate(hits) if hits else np.empty(0)
+    arcs = find_own_hits(ends, surfaces)
     if not len(arcs):
         return pose
     nearest = float(arcs[np.argmin(np.abs(arcs - MM.REACH))])

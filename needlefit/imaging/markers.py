@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from needlefit.arrays import Floats, Ints
@@ -164,10 +165,9 @@ def refine_fiducials(
     centers, sd = given.copy(), np.full(len(given), rules.fiducial_sd_mm)
     reach = rules.diameter_mm / 2 + SD.OUTLIER * rules.fiducial_sd_mm
     apart = cdist(given, balls.centers)
-    while apart.size and apart.min() <= reach:  # the nearest pair first
-        mark, ball = np.unravel_index(int(apart.argmin()), apart.shape)
-        centers[mark], sd[mark] = balls.centers[ball], balls.sd[ball]
-        apart[mark], apart[:, ball] = np.inf, np.inf
+    pairs = np.stack(linear_sum_assignment(np.minimum(apart, 2 * reach)))
+    mark, ball = pairs[:, apart[tuple(pairs)] <= reach]
+    centers[mark], sd[mark] = balls.centers[ball], balls.sd[ball]
     seen = f"{len(given)} fiducials were placed by hand"
     return replace(balls, centers=centers, sd=sd, source="fiducials", candidates=seen)
 

@@ -29,6 +29,7 @@ from needlefit.imaging.entry import (
     choose_entry,
     compare_poses,
     find_entry_arc_length,
+    find_own_hits,
     is_soft_tissue,
     move_to_surface,
     pose_from_shaft,
@@ -399,9 +400,7 @@ def _locate_tissue(
                 where="entry of the corrections",
             )
         return EntryCandidate(place, recipe.entry.placed_contact_sd_mm)
-    hits = [find_surface_hits(found.world, surface) for surface in surfaces if surface.into == 1]
-    own = np.concatenate([np.empty(0), *hits])
-    if len(own):
+    if len(own := find_own_hits(found.world, surfaces)):
         return EntryCandidate(float(own.min()), recipe.layers.surface_sd_mm)
     if found.entry is None:
         raise DataError(
