@@ -1,6 +1,7 @@
 """Tables: known answers for means, the paper's cells, and what may not be printed."""
 
 import math
+import re
 
 import numpy as np
 import pandas as pd
@@ -12,6 +13,7 @@ from needlefit.datasets import paper
 from needlefit.reporting.number_format import format_number, format_to_error
 from needlefit.reporting.table import escape_latex, format_cell
 from needlefit.reporting.table_files import to_records
+from needlefit.schemas.medium import ParameterRecord, PriorRecord
 from needlefit.studies.fit_tables import (
     describe_largest_factor,
     lay_out_estimates,
@@ -138,9 +140,15 @@ def test_of_several_folds_values_and_intervals_are_enveloped():
     two = {"fold": "two", "median": 0.2, "interval_low": 0.15, "interval_high": 0.25}
     folds = [{**row, **one}, {**row, **two, "determined": "only together"}]
     frame = pd.DataFrame(folds)
-    (cells,) = lay_out_parameters(with_frames(results, parameters=frame)).rows
-    (estimate,) = lay_out_estimates(frame).rows
-    assert cells[2] == estimate[1] == "0.1 to 0.2 (0.08 to 0.25)"
+    results = with_frames(results, parameters=frame)
+    (cells,), estimates = lay_out_parameters(results).rows, lay_out_estimates(results)
+    assert cells[2] == estimates.rows[0][1] == "0.1 to 0.2 (0.08 to 0.25)"
+
+    medium = results.metadata.medium.model_copy(deep=True)
+    prior = PriorRecord(median=0.05, factor=1.3)
+    medium.parameters["bevel_mm"] = ParameterRecord(bounds=(1e-3, 1.0), prior=prior)
+    (note,) = set(lay_out_estimates(results.with_metadata(medium=medium)).notes) - set(estimates.notes)
+    assert re.findall(r"[\d.]*\d", note) == ["0.05", "1.3"]
 
 
 def test_what_reaches_a_bound_or_follows_its_prior_is_not_determined():

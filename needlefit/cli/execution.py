@@ -390,10 +390,13 @@ def run_studies(execution: Execution, todo: "Sequence[StatedStudy]") -> "list[Ru
 STATUS_STYLES = {"none": "bold", "pass": "bold green", "warn": "bold yellow", "fail": "bold red"}
 
 
-def show_run(invocation: Invocation, run: "Run", folder: Path, named: bool = False) -> None:
+def show_run(
+    invocation: Invocation, run: "Run", folder: Path, named: bool = False, results: Path | None = None
+) -> None:
     """Print the first page of a study, the answer first, the method last; with `--explain` all tables.
 
-    `named`: before the answer stands the name of the run. With `--json` its warnings are printed alone.
+    `named`: before the answer stands the name of the run. `results`: the folder that holds the folders of
+    results, where it is not that of `folder`. With `--json` its warnings are printed alone.
     """
     if invocation.json:
         show_warnings(invocation, run)
@@ -414,7 +417,7 @@ def show_run(invocation: Invocation, run: "Run", folder: Path, named: bool = Fal
     if page.checks:
         screen.print_text(summarize_checks(page.checks))
     if page.advice is not None:
-        show_advice(page.advice, folder.parent)
+        show_advice(page.advice, results or folder.parent)
     if page.method:
         screen.print_text(f"{METHOD} {page.method}")
     if invocation.explain:

@@ -37,7 +37,7 @@ def report(
     done = rebuild(folder, written)
     if invocation.json:
         show_json_of([done])
-    show_run(invocation, done, written)
+    show_run(invocation, done, written, results=folder.parent)
     if paper is not None:
         from needlefit.studies.paper_folder import write_paper_folder
 

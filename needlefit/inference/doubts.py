@@ -398,7 +398,7 @@ def find_limit(count: int) -> float:
 def _find_shared(problem: Problem, theta: Floats, odd: set[str]) -> Doubts | None:
     """Return what happened to all needles alike, and which are odd besides; None if nothing did.
 
-    `odd`: needles that do not count. One that is found with the others as they were bent their size, too.
+    `odd`: needles that do not count. The size of what happened is found again without those that are found.
     """
     doubts = None
     while True:
@@ -421,8 +421,9 @@ def _describe(
 ) -> DoubtMetadata | None:
     """Return what is known of a needle, given what the others predict; None if it is not odd.
 
-    It is if it lies beyond the `limit` (SD) from its prediction, or farther than most and something is far
-    more probable than nothing. Of the latter is asked where errors alone keep the others from their fit.
+    It is odd if it lies beyond the `limit` (SD) from its prediction. So it is if it lies farther than most,
+    and a hypothesis is far more probable than none; that is asked only where the other needles lie as far
+    from their fit as errors alone explain.
     """
     is_near = sds < limit
     if is_near and not (sds > PREDICTED_SD and predicted.describes(sum(problem.density.residual_counts))):

@@ -1,1 +1,1 @@
-"""Turn results into tables, figures and documents (`write`); the only package that draws."""
+"""Turn results into tables, figures, documents and pages; the only package that draws."""

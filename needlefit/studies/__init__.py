@@ -1,1 +1,1 @@
-"""Run studies: fit to some insertions, score on others (`run`), compare with published numbers (`paper`)."""
+"""Run studies: fit some insertions, score others, judge the fits, and report what was found."""

@@ -29,7 +29,7 @@ from needlefit.reporting.number_format import (
 from needlefit.reporting.table import DIGITS, Cells, Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.reporting.text import KindText
-from needlefit.schemas.run_metadata import FitMetadata, RigidityMetadata
+from needlefit.schemas.run_metadata import FitMetadata, JobMetadata, RigidityMetadata
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.identification import FROM_PRIOR, ParameterRow, describe_prior
 from needlefit.studies.judge import MAX_NOISE_RATIO, REFERENCES, judge
@@ -414,13 +414,12 @@ def describe_largest_factor(run: Run) -> str:
     return _format_end(max(factors)) if factors else ""
 
 
-def lay_out_estimates(
-    parameters: pd.DataFrame, rigidity: Mapping[str, RigidityMetadata] | None = None
-) -> TableLayout:
+def lay_out_estimates(run: Run, rigidity: Mapping[str, RigidityMetadata] | None = None) -> TableLayout:
     """Return every parameter that was fitted with its 95 % interval and what limits it, where it was judged.
 
-    `parameters`: the frame of a fit, or what a prediction has of it. Moduli are in proportion to `rigidity`.
+    Below stand the priors that the medium states of them. Moduli are in proportion to `rigidity`.
     """
+    parameters, medium = run.frames["parameters"], run.knows(JobMetadata).medium
     fitted = list_fitted(parameters)
     bevel = next((parameter.symbol for parameter in fitted if parameter.name in BEVEL_PARAMETERS), "")
     rows = list[Row]()
@@ -429,6 +428,9 @@ def lay_out_estimates(
         limit = parameter.describe_limit(bevel)
         rows.append({"parameter": label, "posterior": estimate, "limited_by": limit})
     notes = [TEXT.sentence("rigidity", {"rigidity": rigidity})] if rigidity else []
+    stated = {name: record.prior for name, record in medium.parameters.items() if record.prior is not None}
+    if priors := {parameter.name: stated[parameter.name] for parameter in fitted if parameter.name in stated}:
+        notes.append(TEXT.sentence("priors", {"priors": priors}))
     notes += [f"{AT_BOUND}: a bound."] if any(AT_BOUND in row["posterior"] for row in rows) else []
     is_judged = bool((parameters["determined"] != "").any())
     columns = ("parameter", "posterior", *(("limited_by",) * is_judged))

@@ -204,6 +204,7 @@ def _find_implausible(run: Run) -> Iterator[Row]:
     fits = FitFrames.of(run).free_parameters
     medians = {str(name): float(values.median()) for name, values in fits.groupby("parameter")["value"]}
     spacing, is_soft = run.knows(FitMetadata).medium.constraint_spacing_mm, True
+    count = fits["fold"].nunique()
     for name in list_implausible(medians, spacing):
         value = medians[name]
         if name.startswith("mu"):
@@ -211,11 +212,11 @@ def _find_implausible(run: Run) -> Iterator[Row]:
             nearest = (max if value > MU_PA[1] else min)(ends, key=lambda name: ends[name])
             factor, is_soft = max(value / ends[nearest], ends[nearest] / value), False
             about = {"published": ends[nearest], "published_of": nearest, "text": "modulus"}
-            yield {"parameter": name, "value": value, "factor": factor, **about}
+            yield {"parameter": name, "value": value, "fits": count, "factor": factor, **about}
         elif is_soft:
             cut, angle = read_cut_angles(), compute_cut_angle(name, value, spacing)
             about = {"angle": angle, "low": cut.low, "high": cut.high, "text": "bevel"}
-            yield {"parameter": name, "value": value, **about}
+            yield {"parameter": name, "value": value, "fits": count, **about}
 
 
 def _find_outside(run: Run) -> Iterator[Row]:
@@ -234,9 +235,11 @@ def _find_outside_modes(run: Run) -> Iterator[Row]:
         for row in to_records(outside)
     ]
     outside = outside[~np.array(at_bound, dtype=bool)]
-    for name, some in outside.groupby("parameter", sort=False):
-        low, high = some["interval_low"].iloc[0], some["interval_high"].iloc[0]
-        yield {"parameter": str(name), "value": some["value"].iloc[0], "low": low, "high": high}
+    several = rows["fold"].nunique() > 1
+    for row in to_records(outside.drop_duplicates("parameter")):
+        fold = row["fold"] if several else ""
+        ends = {"low": row["interval_low"], "high": row["interval_high"]}
+        yield {"parameter": row["parameter"], "value": row["value"], "fold": fold, **ends}
 
 
 #: of fits and cross-validations, by the kind of the warning, which programs may rely on: run -> the values of

@@ -49,7 +49,7 @@ MAX_NAMED_SERIES = 8  # more series than these are not named one by one
 
 
 def choose_looks(frame: pd.DataFrame, by: str, looks: Mapping[str, Look] | None = None) -> dict[str, Look]:
-    """Return the look of each series, in the order of the frame; those without one get a colour each."""
+    """Return the look of each series: of `looks` those that the frame has, without any a colour each."""
     names = [str(name) for name in dict.fromkeys(frame[by])]
     if looks is not None:
         return {name: looks[name] for name in looks if name in names}

@@ -39,11 +39,12 @@ number that is not whole needs a filter: all formats of `table.FORMATS` (`mm`, `
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from numbers import Integral
 from typing import Any
 
 import jinja2
+import numpy as np
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 from markupsafe import Markup
@@ -103,7 +104,7 @@ def _environment(package: str) -> jinja2.Environment:
         "error": format_error,
         "ratio": lambda value: f"{value:.2g}",
         "rounded": format_to_error,
-        "significant": lambda value, digits: f"{value:.{digits}g}",
+        "significant": partial(np.format_float_positional, unique=False, fractional=False, trim="-"),
         "bare": format_bare_symbol,
         "symbols": insert_symbols,
         "words": lambda words: join_words([str(word) for word in words]),

@@ -1,1 +1,1 @@
-"""Kinds of study. Each is one folder: `schema` (its study file), `run` (its computation), `report`."""
+"""Kinds of study: what each computes (`run`), and how its results are reported (`report`)."""

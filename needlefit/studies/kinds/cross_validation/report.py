@@ -143,7 +143,7 @@ def judge_errors(run: Run) -> FirstPage:
     return FirstPage(
         Verdict(sentence, status, numbers, judged.outcome),
         TEXT.sentence("about", words),
-        [*tables, fit_tables.lay_out_estimates(run.frames["parameters"], values["rigidity"])],
+        [*tables, fit_tables.lay_out_estimates(run, values["rigidity"])],
         checks=checks,
         advice=find_advice(run, judged),
         method=TEXT.sentence("method", words),

@@ -18,7 +18,6 @@ from needlefit.schemas.scene import SceneRecord
 from needlefit.studies.first_page import Advice, FirstPage, Verdict, advise
 from needlefit.studies.fit_tables import lay_out_estimates
 from needlefit.studies.kinds.prediction.run import AXES
-from needlefit.studies.prediction_scores import MAX_AIMING_WIDTH_MM
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run
 
@@ -62,7 +61,7 @@ def describe_forecast(run: Run) -> FirstPage:
         "fail" if run.faults else "none",
         numbers={key: values[key] for key in (keys[:1] if run.faults else keys)},
     )
-    tables = [*REPORT.lay_out(run), lay_out_estimates(run.frames["parameters"])]
+    tables = [*REPORT.lay_out(run), lay_out_estimates(run)]
     about, method = (TEXT.sentence(block, values) for block in ("about", "method"))
     return FirstPage(verdict, about, tables, advice=_advise_on_fit(run), method=method)
 
@@ -76,7 +75,7 @@ def _advise_on_fit(run: Run) -> Advice | None:
         return Advice(**{**recalled, "command": tuple(recalled["command"])})
     elif stated.fit_run is None:
         finding = "study_unvalidated" if stated.held_out_by_target else "fit_untested"
-    elif tip["needle_95_high_mm"] - tip["needle_95_low_mm"] > MAX_AIMING_WIDTH_MM:
+    elif tip["needle_95_high_mm"] - tip["needle_95_low_mm"] > stated.recipe.aiming_width_mm:
         finding = "prediction_wide"
     else:
         finding = "tip_predicted"
