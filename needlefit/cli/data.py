@@ -308,10 +308,8 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
         groups = table.groupby(["medium", "layers", "holes by"], sort=False)
         shown = groups["insertion"].size().to_frame("insertions").assign(holes=groups["hole"].nunique())
         for column, label in (("depth_mm", "depth, mm"), ("deflection_mm", "tip deflection, mm")):
-            least, most = (
-                limit.map("{:.2f}".format) for limit in (groups[column].min(), groups[column].max())
-            )
-            shown[label] = least + " to " + most
+            ends = groups[column].agg(["min", "max"]).map("{:.2f}".format).to_numpy()
+            shown[label] = [" to ".join(dict.fromkeys(pair)) for pair in ends]
         screen.show_frame(shown.reset_index(), "")
         if planes:
             _, off_mm, sds = max(planes, key=lambda plane: plane[1])

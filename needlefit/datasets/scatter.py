@@ -56,7 +56,7 @@ def find_scatter_warnings(
     # errors that neighbours share, and those of a column, need not scatter
     too_large = scatter < SCATTER_RATIOS[0] * point_sd and not is_smoothed
     if too_large or scatter > SCATTER_RATIOS[1] * stated:
-        problem = f"points scatter by {scatter:.2g} mm about smooth curves, and {stated:.2g} mm are stated"
+        problem = f"points scatter by {scatter:.2g} mm about smooth curves, where {stated:.2g} mm is expected"
         fix = "state the noise of repeated measurements" + (
             ", or under [measurement] what smoothed the points" if too_large else ""
         )
