@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 import reference_solver
 from collocation import COLLOCATED, measure_difference
 from mechanics_cases import random_case
+from needle_loads import compute_loads
 from solver_checks.beams import FOUNDED, LOADED
 from solver_checks.clamped import MANUFACTURED, measure_orders
 from solver_checks.refinement import (
@@ -35,7 +36,7 @@ from solver_checks.refinement import (
 from needlefit.mechanics.batch import linearize_steps
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.plan import make_lattice
-from needlefit.mechanics.simulate import compute_loads, simulate_steps
+from needlefit.mechanics.simulate import simulate_steps
 
 Row = tuple[str, str, str]
 WRT = ("mu", "shape", "friction", "offset", "rigidity", "base_y", "base_slope", "boundaries", "guides")

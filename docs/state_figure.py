@@ -1,10 +1,12 @@
 """The needle of the animation in its layers, with its forces, in the constraint frame C."""
 
 import math
+import sys
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,12 +17,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from scipy.interpolate import BSpline
 
+sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+from needle_loads import Loads, compute_loads, map_beam_points
+
 from needlefit.arrays import Floats
 from needlefit.mechanics.control import Controls, Step
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
-from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
-from needlefit.mechanics.simulate import Loads, compute_loads
+from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.torsion import find_roll
 from needlefit.reporting.figures.style import choose_vertical_scale
 from needlefit.reporting.labels import GREY, INK

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mechanics_cases import NEEDLE, RULES, random_case
+from needle_loads import compute_loads
 from numpy.testing import assert_allclose
 from pytest import approx
 from space_cases import random_spatial_case
 
 from needlefit import Batch, Bevel, Controls, Guide, ModelOptions, Needle, Step, Tissue, simulate_batches
-from needlefit.mechanics.simulate import compute_lateral_load, compute_loads, simulate, simulate_steps
+from needlefit.mechanics.simulate import compute_lateral_load, simulate, simulate_steps
 
 DEPTH, BEVEL = 55.0, Bevel(0.085)
 PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import reference_solver
 from mechanics_cases import NEEDLE, RULES, assert_close, assert_same_bits, list_seeds, pick, random_case
+from needle_loads import compute_loads
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx
@@ -18,7 +19,7 @@ from needlefit.errors import ModelError
 from needlefit.mechanics.batch import Batch, linearize_batches
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import LIMITS, compute_positions
-from needlefit.mechanics.simulate import compute_loads, simulate_steps
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.torsion import compute_roll_lag, find_roll, turn_tip
 
 FINE = 1e-11

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mechanics_cases import pick
+from needle_loads import map_beam_points
 from pytest import approx
 from refusals import refusal
 
@@ -30,14 +31,7 @@ from needlefit import (
 from needlefit.errors import ModelError
 from needlefit.mechanics.native import make_flat
 from needlefit.mechanics.plan import Lattice, count_element_solves, make_moves, make_stops
-from needlefit.mechanics.shape import (
-    LIMITS,
-    MAX_MISS_MM,
-    NeedleShape,
-    compute_positions,
-    find_worst,
-    map_beam_points,
-)
+from needlefit.mechanics.shape import LIMITS, MAX_MISS_MM, NeedleShape, compute_positions, find_worst
 from needlefit.project.unit_warnings import needle_warnings
 from needlefit.schemas.limits import MAX_ELEMENT_SOLVES, MAX_ELEMENTS, MAX_GUIDES, MAX_LAYERS
 from needlefit.schemas.scene import NeedleRecord

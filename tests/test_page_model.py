@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from needle_loads import map_beam_points
 from numpy.testing import assert_allclose
 from page_files import run_node
 from pytest import approx
@@ -16,7 +17,7 @@ from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics import native
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.shape import compute_positions, list_planes, map_beam_points
+from needlefit.mechanics.shape import compute_positions, list_planes
 from needlefit.mechanics.simulate import compute_lateral_load
 from needlefit.planning.steered_needle import Change, SteeredNeedle, make_steered_scene
 from needlefit.reporting.needle_page import encode_draws

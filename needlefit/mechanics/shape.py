@@ -310,18 +310,6 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
     return native.compute_positions(shape.x[None], u, slope, wanted)[0]
 
 
-def map_beam_points(shape: NeedleShape, points: Floats) -> Floats:
-    """Return points (K, 3), given by beam coordinate and deflections, in those of `compute_positions`.
-
-    Each point moves with the point of the needle at its beam coordinate: its distance from the needle, across
-    x, is then the e of the model.
-    """
-    s = np.ascontiguousarray(points[:, 0])
-    along = ((points[:, 1], shape.u, shape.slope), (points[:, 2], shape.w, shape.slope_z))
-    beside = [place - native.compute_deflections(shape.x, u, slope, s) for place, u, slope in along]
-    return compute_positions(shape, s) + np.column_stack((np.zeros(len(s)), *beside))
-
-
 def sample_inserted_points(shape: NeedleShape, stations: int = 101) -> Floats:
     """Return points (stations, 3) in C at equal fractions of the inserted length, from entry to tip."""
     return compute_positions(shape, np.linspace(0.0, shape.depth, stations))

@@ -4,7 +4,6 @@ The lateral loads on the needle are the tissue's load along the shaft, and the r
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -116,92 +115,6 @@ def read_shape(shapes: native.Shapes, scales: Floats) -> NeedleShape:
     x, points, track = (a[name][0].copy() for name in ("x", "constraints", "track"))
     nodes = native.to_space(x, a["u"][:, 0].copy(), a["slope"][:, 0].copy(), points, track)
     return NeedleShape(*nodes, STATUS_NAMES[a["status"][0]], int(a["passes"][0]), scales)
-
-
-@dataclass(frozen=True)
-class SupportReaction:
-    """Force and moment of one support (base, guide or tracked tip) on the needle."""
-
-    x: float  #: beam coordinate, mm
-    force: float = 0.0  #: N, toward +y
-    moment: float = 0.0  #: N mm, turning x toward y; 0 where the needle turns freely
-    #: force_z, moment_z: toward +z, and turning x toward z
-    force_z: float = 0.0
-    moment_z: float = 0.0
-
-
-@dataclass(frozen=True)
-class Loads:
-    """All loads across the needle's axis, in the constraint frame C; positive toward +y and +z."""
-
-    s: Floats  #: (K,) beam coordinates in the tissue at which the model integrates the load, increasing, mm
-    #: (K,) lateral load of the tissue there, N/mm; it jumps where constraint point or layer change
-    load: Floats
-    load_z: Floats  #: (K,) the same along z
-    #: (K,) length of shaft that each of them stands for, mm: the tissue's force is `weight @ load`
-    weight: Floats
-    #: tip_region_force, tip_region_force_z: of the tissue on the stretch of the last constraint point, N
-    tip_region_force: float
-    tip_region_force_z: float
-    base: SupportReaction
-    #: one for each of the controls' guides, in their order; all 0 for one that does not hold yet
-    guides: tuple[SupportReaction, ...]
-    tip: SupportReaction  #: what holds a tracked tip where it is; all 0 where the tip is free
-
-    @property
-    def tip_force(self) -> float:
-        """Lateral force on the tip, N: the tissue's around the tip, plus that of a tracker that holds it."""
-        return self.tip_region_force + self.tip.force
-
-    @property
-    def tissue(self) -> SupportReaction:
-        """The tissue's force on the whole shaft, N, and its moment about the entry, N mm."""
-        forces = [self.weight * load for load in (self.load, self.load_z)]
-        numbers = [number for force in forces for number in (float(force.sum()), float(force @ self.s))]
-        return SupportReaction(0.0, *numbers)
-
-
-def compute_loads(
-    shape: NeedleShape,
-    tissue: Tissue,
-    needle: Needle,
-    controls: Controls,
-    rules: ModelOptions = _DEFAULT_OPTIONS,
-) -> Loads:
-    """Return all loads on a needle in equilibrium: docs/model.md, section 3.
-
-    `tissue`, `needle` and `rules` are those under which it was found, `controls` those of its last step. NaN
-    where the shape is, if it did not converge.
-    """
-    depths, (u, slope) = np.ascontiguousarray(shape.constraints[:, 0]), list_planes(shape)
-    problem = pack_equilibrium(needle, tissue, depths, controls, rules, len(u))
-    front = int(np.searchsorted(shape.x, 0.0))  # base and guides before the tissue
-    s, weight, _, near = native.list_quadrature(problem, shape.x[front:].copy(), depths)
-    bent = shape.x, u, slope, shape.constraints
-    load = native.compute_load(problem, bent, s)  # (2, K)
-    last = int(np.searchsorted(near, len(depths) - 1))  # the first that belongs to the last constraint point
-    nodal_forces = native.balance_nodes(problem, bent, front, load).swapaxes(0, 1)  # (N, 2, 2)
-    # Supports have nodes at exactly their x, so a node is found by its coordinate.
-    reactions = dict(zip(shape.x.tolist(), nodal_forces.tolist(), strict=True))
-
-    def read(x: float, clamped: bool) -> SupportReaction:
-        held = reactions.get(x, [])  # a guide without a node holds nothing
-        return SupportReaction(x, *(n for force, moment in held for n in (force, moment if clamped else 0.0)))
-
-    load_y, load_z = load
-    return Loads(
-        s,
-        load_y,
-        load_z,
-        weight,
-        tip_region_force=float(weight[last:] @ load_y[last:]),
-        tip_region_force_z=float(weight[last:] @ load_z[last:]),
-        base=read(float(shape.x[0]), clamped=True),
-        guides=tuple(read(guide.x, guide.slope is not None) for guide in controls.guides),
-        tip=SupportReaction(shape.depth)
-        if controls.tip is None
-        else read(shape.depth, controls.tip.slope is not None),
-    )
 
 
 def compute_lateral_load(
