@@ -85,8 +85,6 @@ class MM:
     NEEDLE_LENGTH = 20.0
     HUB_RADIUS = 5.0  # largest
     HUB_LENGTH = 4.0  # least; so much of it shows its axis
-    THICK_SLICE = 0.6 + 1e-9  # thinner slices show the needle in several at once
-    FLAT_SLICE = 0.5 - 1e-9  # of slices, where voxels are longer than wide
     RIM = PATCH - STATION  # from the needle, where its surroundings begin: the last voxel of the patch
     DARK = 6.0  # of a needle that rays darken, at most; longer rays show themselves rather than the bevel [R]
     END_MOMENT = 5.0  # lever of the shear force at the end: the tip itself carries no moment
