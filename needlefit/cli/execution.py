@@ -3,19 +3,21 @@
 import math
 import re
 import shlex
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 import typer
 
 from needlefit.cli import exit_codes, screen
 from needlefit.cli.exit_codes import Invocation, catch_interrupts
-from needlefit.project.callbacks import never_stop, no_note
+from needlefit.project.callbacks import Progress, never_stop, no_note, no_progress
 from needlefit.project.locate import format_path
 from needlefit.project.processes import count_cores, leave_out_help_texts
 
@@ -26,12 +28,6 @@ if TYPE_CHECKING:
     from needlefit.studies.first_page import Advice
     from needlefit.studies.job import Inputs, StatedStudy
     from needlefit.studies.run import Run
-
-import sys
-import time
-from typing import TextIO
-
-from needlefit.project.callbacks import Progress, no_progress
 
 # ---- how far a long run is, and the time left: a bar on a terminal, otherwise a line a minute; on stderr
 

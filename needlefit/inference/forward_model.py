@@ -14,6 +14,7 @@ import numpy as np
 
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.datasets.insertion import GUIDE_STILL_MM, Insertion, InsertionInputs
+from needlefit.datasets.layers import compute_depths, find_layers
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.crossings import find_path_crossings
 from needlefit.inference.likelihood.observations import OBSERVATIONS
@@ -32,7 +33,7 @@ from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, St
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import MAX_TOLERANCE_MM
-from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.mechanics.simulate import find_last_shape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.medium import MediumRecord
@@ -40,10 +41,6 @@ from needlefit.schemas.scene import RulesRecord
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-from needlefit.datasets.layers import compute_depths, find_layers
-from needlefit.mechanics.shape import sample_inserted_points
 
 
 def predict(values: Mapping[str, float], medium: MediumRecord, insertion: Insertion) -> NeedleShape:
