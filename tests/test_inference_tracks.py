@@ -320,6 +320,23 @@ def test_a_line_weighs_its_first_readings_against_the_slopes_of_other_runs(name,
     assert found == approx(y.mean() + slope * (DEPTH[first:] - DEPTH[:first].mean()), rel=1e-3)
 
 
+@pytest.mark.parametrize("turned", [0.0, 40.0])
+def test_a_track_of_constant_curvature_bends_where_its_bevel_faces(turned):
+    """Of 6e-4 / mm; bevels face 12, 3, 6 and 9 o'clock, from 40 mm on they are turned by a right angle."""
+    rng, seen = default_rng(2), []
+    for roll in (0.0, 90.0, 180.0, 270.0, 0.0, 180.0):
+        toward, then = np.cos(np.radians([roll, roll + 90.0]))
+        tip = 3e-4 * toward * DEPTH**2
+        run = track("run", REST, roll=roll)
+        if turned:
+            tip = tip + 3e-4 * (then - toward) * np.maximum(DEPTH - turned, 0.0) ** 2
+            run = replace(run, turns=(*run.turns, (turned, roll + 90.0)))
+        tip = tip + 0.01 * rng.normal(size=len(DEPTH))
+        seen.append(make_observation(dataset([]), with_tip(run, tip)))
+    found = later_readings.predict_by_curve(BASELINES["constant_curvature"], seen[:-1], seen[-1], 3, 1e-3)
+    assert_allclose(found, seen[-1].measured[3:, 1], atol=0.05)
+
+
 def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     """Deflections of small needles are proportional to b, so that they spread as ln b does."""
     one = problem(runs[:1])

@@ -117,8 +117,8 @@ def predict_by_curve(
     # least squares of the readings in frames of any shift and slope
     basis = np.concatenate([run.whitening @ run_basis for run, run_basis in zip(tuned, bases, strict=True)])
     measured = np.concatenate([run.whitening @ run.measured[:, 1] for run in tuned])
-    best = np.linalg.solve(basis.T @ basis, basis.T @ measured)
-    variance = float(np.sum((measured - basis @ best) ** 2)) / (len(measured) - len(best))
+    best, _, rank, _ = np.linalg.lstsq(basis, measured)
+    variance = float(np.sum((measured - basis @ best) ** 2)) / (len(measured) - rank)
     left = (run.measured[:, 1] - run_basis @ best for run, run_basis in zip(tuned, bases, strict=True))
     slopes = np.array([off @ run.estimator[1] for run, off in zip(tuned, left, strict=True)])
     slope, slope_variance = float(slopes.mean()), slope_sd**2 * (1 + 1 / len(slopes))

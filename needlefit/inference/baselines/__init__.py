@@ -37,7 +37,8 @@ class Baseline:
     scales: tuple[float, ...] = ()
     #: pose, dropped proximal length (mm) and insertions -> coefficients (P,), instead of least squares
     fit: "Callable[[Pose, float, Sequence[Insertion]], Sequence[float]] | None" = None
-    #: a tip track -> deflection of its n readings by unit coefficients (n, P); None: it predicts no tracks
+    #: a tip track -> deflection of its n readings by unit coefficients (n, P), of which some may be 0 in all
+    #: tracks; None: it predicts no tracks
     track_basis: "Callable[[Insertion], Floats] | None" = None
     #: whether the slope of a further track in the tracker's frame follows from that of all runs, or of those
     #: alone whose guide moved, or rested, as in it
@@ -67,6 +68,20 @@ def make_curvature_curve(coefficients: Iterable[ArrayLike], insertion: "Insertio
     return lambda s: integrate_curvature(insertion.depth, turned, s)
 
 
+def _bend_track(track: "Insertion") -> Floats:
+    """Return by how much the n readings of a track deflect, toward where the bevel faces in a roll of 0, and
+    at right angles to that, (n, 2) mm^2, by unit curvature whose direction follows the turns of the bevel.
+    """
+    depths = track.points[:, 0]
+    toward = np.array([1.0, 0.0])
+    columns = np.outer(depths**2 / 2, toward)
+    for begin, roll in track.turns:
+        turned = np.array([np.cos(np.radians(roll)), np.sin(np.radians(roll))])
+        columns += np.outer(np.maximum(depths - begin, 0.0) ** 2 / 2, turned - toward)
+        toward = turned
+    return track.side * columns
+
+
 #: A needle that does not bend.
 STRAIGHT = Baseline(
     "straight",
@@ -77,7 +92,7 @@ STRAIGHT = Baseline(
     track_basis=lambda track: np.empty((len(track.points), 0)),
     order=1,
 )
-#: Constant curvature toward the bevel; the tip of a track follows a parabola.
+#: Constant curvature toward the bevel; of tracks also across it, which each direction has by itself.
 CONSTANT_CURVATURE = Baseline(
     "constant_curvature",
     "constant curvature",
@@ -85,7 +100,7 @@ CONSTANT_CURVATURE = Baseline(
     "#009E73",
     curve=make_curvature_curve,
     scales=(COEFFICIENT_LENGTH_MM**-1.0,),
-    track_basis=lambda track: track.side * track.points[:, :1] ** 2 / 2,
+    track_basis=_bend_track,
     order=2,
 )
 #: Curvature toward the bevel that is linear in arc length.
