@@ -2,8 +2,6 @@
 
 from collections.abc import Callable
 
-# ---- callbacks of long computations, and defaults that do nothing
-
 Progress = Callable[[str, int, int], None]  # called with what is done, how much of it, of how much
 Step = Callable[[int, int], None]  # called with how much is done, of how much
 Stop = Callable[[], bool]

@@ -11,8 +11,6 @@ from needlefit.inference.identifiability.information import cramer_rao, lineariz
 from needlefit.inference.parameter_names import HYPERPARAMETERS, is_logarithmic
 from needlefit.inference.problem import Problem
 
-# ---- what the direction of insertion would determine, of shapes that are known only up to a rigid motion
-
 DIRECTION_SD_DEG = 0.5  #: of a needle that is set by hand
 
 

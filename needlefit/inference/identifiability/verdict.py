@@ -40,8 +40,6 @@ from needlefit.inference.identifiability.loosened_assumptions import (
 from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.inference.problem import Problem
 
-# ---- which parameters the data determine, and which only in combination
-
 #: largest range among equal starts, in these standard deviations, of a parameter called determined
 MAX_RANGE_SD = 4.0
 #: a start is within tolerance of the best if its log posterior is within this of the best one's

@@ -23,9 +23,6 @@ Curve = Callable[[Floats], Floats]
 ENTRY_SIDE_FRACTION = 0.2
 
 
-# ---- what is compared, and the kinds of observations
-
-
 @dataclass(frozen=True)
 class ComparedPoints:
     """The measured points of one comparison, and where the simulated ones are taken."""

@@ -75,9 +75,6 @@ def list_pose_modes(
     return pose_modes(measured, slopes), pose_sds(insertion, errors.noise, errors.dataset.directions)
 
 
-# ---- points at which a simulated and a measured needle are compared, and what lays one on the other
-
-
 def turn_about_x(points: Floats, angle: Floats | float) -> Floats:
     """Return points (..., K, 3) turned about C's x axis by angles (...,), rad."""
     cos, sin = (np.asarray(part)[..., None] for part in (np.cos(angle), np.sin(angle)))

@@ -33,8 +33,6 @@ from needlefit.registry import Registry
 from needlefit.schemas.base import Compared
 from needlefit.schemas.recipe import LikelihoodRecord
 
-# ---- what can be measured
-
 
 @dataclass(frozen=True)
 class ObservationType:
