@@ -172,6 +172,13 @@ def test_every_needle_of_a_scan_is_an_insertion_and_the_printed_commands_follow(
     rows = pd.read_csv(tmp_path / "both" / "scans.csv")
     apart = np.diff(rows[["needle_x_mm", "needle_y_mm", "needle_z_mm"]].to_numpy(), axis=0)[0]
     assert apart[0] > 0  # along L
+    for answer, named in {
+        "entry=1": "spoiled-1:entry=1",
+        "spoiled-2:entry=1": "--confirm for spoiled-2",
+    }.items():
+        assert run("reconstruct", path, "--all", "--out", tmp_path / "asked", "-q", "--confirm", answer) == 3
+        assert named in capsys.readouterr().err
+    assert [*pd.read_csv(tmp_path / "asked/reconstruction.csv")["id"]] == ["spoiled-1"]
 
 
 def known(folder, change):

@@ -180,6 +180,10 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
     (guide,) = (one["controlPoints"] for one in lists if "guide" in one["name"])
     assert guide[0]["position"] == approx(entry, abs=0.1) and guide[1]["label"] == "guide ends"
     assert run(*words, "none", "--confirm", "entry=3") == 3
+    Path("tissue.toml").write_text("schema = 2\n[guide]\nthickness_mm = 0.0\n")
+    capsys.readouterr()
+    assert run(*words, "unasked", "--recipe", "tissue.toml", "--confirm", "entry=1") == 3
+    assert "--confirm for plate" in capsys.readouterr().err and not Path("unasked").exists()
     for answer in ("axis", "gel:entry=1"):
         assert run(*words, "other", "--confirm", answer) == 2
     Path("plate.nrrd").rename("first.nrrd")
@@ -188,7 +192,7 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
     assert run(*several) == 2 and "first:entry=1" in capsys.readouterr().err
 
 
-def test_an_answer_names_the_scan_also_where_its_needles_are_insertions():
+def test_an_answer_names_its_scan_or_its_needle():
     scan = Scan("gel", Path("gel.nrrd"), "gel")
     assert [name_answer(scan, count) for count in (1, 2)] == ["entry=1", "gel:entry=1"]
-    assert name_answer(replace(scan, id="gel-2", divided=2), 2) == "gel:entry=1"
+    assert name_answer(replace(scan, id="gel-2", divided=2), 2) == "gel-2:entry=1"

@@ -86,7 +86,7 @@ def reconstruct(
         list[str] | None,
         option(
             "Number of the right answer, after a refusal that asks for the entry: entry=1; of several scans "
-            "with the ID of one. May be repeated.",
+            "or needles with the ID of one. May be repeated.",
             "[ID:]entry=NUMBER",
         ),
     ] = None,
@@ -129,7 +129,7 @@ def reconstruct(
             series=series,
             medium=medium,
         )
-        wanted = correct_scans(_take_answers(_scans(scans, files), confirm or ()), moved)
+        wanted = correct_scans(_take_answers(_scans(scans, files), confirm or (), every), moved)
         named_by = scan_id(scans[0]) if len(wanted) == 1 or scans[0].suffix == ".csv" else "scans"
         out = out or Path(f"{named_by}-dataset")
         place = out.resolve()
@@ -187,23 +187,26 @@ def reconstruct(
         raise typer.Exit(DataError.exit_code)
 
 
-def _take_answers(scans: "Sequence[Scan]", confirmed: Sequence[str]) -> "list[Scan]":
-    """Return scans with the answers about their entries; BadParameter of an answer to no scan, or to all."""
-    numbers = dict[str, int]()
+def _take_answers(scans: "Sequence[Scan]", confirmed: Sequence[str], every: bool) -> "list[Scan]":
+    """Return scans with the answers about their entries; BadParameter of an answer to no scan, or to all.
+
+    `every`: whether each needle of a scan, `ID-1`, ..., is asked about.
+    """
+    answers: dict[str, dict[str, int]] = {scan.id: {} for scan in scans}
     for text in confirmed:
         answer = re.fullmatch(r"(?:(.+):)?entry=([1-9])", text)
         id_ = "" if answer is None else answer[1] or (scans[0].id if len(scans) == 1 else "")
-        if answer is None or id_ not in {scan.id for scan in scans}:
+        owner = id_.rpartition("-")[0] if every and id_ not in answers else id_
+        if answer is None or owner not in answers:
             usual = name_answer(scans[0], len(scans))
             raise typer.BadParameter(f"give a scan and its answer: {usual}", param_hint="--confirm")
-        numbers[id_] = int(answer[2])
-    return [replace(scan, answered=numbers.get(scan.id, 0)) for scan in scans]
+        answers[owner][id_] = int(answer[2])
+    return [replace(scan, answers=answers[scan.id]) for scan in scans]
 
 
 def name_answer(scan: "Scan", count: int) -> str:
-    """Return what states answer 1 of a scan, one of so many; of a needle of a divided scan, that of all."""
-    id_ = scan.id.rpartition("-")[0] if scan.divided else scan.id
-    return "entry=1" if count == 1 else f"{id_}:entry=1"
+    """Return what states answer 1 of a scan, or of a needle of one, of so many."""
+    return "entry=1" if count == 1 else f"{scan.id}:entry=1"
 
 
 def _scans(scans: list[Path], files: ScanFiles) -> "tuple[Scan, ...]":
@@ -270,7 +273,9 @@ def _print_failures(
     if any(failure.points for failure in failed):
         seen = f"needlefit: what was found is drawn in {out}/quality/"
         screen.print_note(f"{seen}; move it in 3D Slicer: {out}/slicer/, then --corrections")
-    if asked := [failure.scan for failure in failed if failure.asked and not failure.scan.answered]:
+    if asked := [
+        failure.scan for failure in failed if failure.asked and failure.scan.id not in failure.scan.answers
+    ]:
         command = invocation.repeat("--confirm", name_answer(asked[0], count))
         screen.print_note(f"needlefit: if answer 1, drawn there, is right: {command}")
     if failed and not run:

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from needlefit.datasets.formats.markups import Markups
-from needlefit.errors import NeedlefitError
+from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import interpolate_at_arc
 from needlefit.imaging.constants import PART
 from needlefit.imaging.corrections import make_control_points
@@ -134,6 +134,15 @@ def reconstruct_needles(
     if isinstance(search, ReconstructionFailure):
         return (search,)
     needles = divide_scan(search, scan) if every else (scan,)
+    ids = [part.id for part in needles]
+    if scan.answers.keys() - ids:
+        error = DataError(
+            f"holds the needles {', '.join(ids)}, but an answer is about {', '.join(scan.answers)}",
+            expected="answers that name a needle each",
+            fix=f"state its needle: --confirm {ids[0]}:entry=1",
+            where=scan.volume,
+        )
+        return (ReconstructionFailure(scan, error),)
     found = []
     for n, part in enumerate(needles):
 

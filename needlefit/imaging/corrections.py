@@ -142,7 +142,7 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
             problems = {
                 f"is not among {', '.join(corrected)}": scan is None,
                 "is corrected a second time": scan and scan.corrections,
-                "none of its control points was moved": unmoved and scan and not scan.answered,
+                "none of its control points was moved": unmoved and scan and not scan.answers,
                 "its balls were moved, but no known places of markers are stated": scan
                 and scan.markers is None
                 and correction.balls is not None,

@@ -301,7 +301,7 @@ class Examination:
         """
         if entry.doubt is None:
             return entry
-        self.asked, number = len(entry.answers), self.scan.answered
+        self.asked, number = len(entry.answers), self.scan.answers.get(self.scan.id)
         if not number:
             raise entry.doubt
         if number > self.asked:
@@ -430,6 +430,12 @@ def derive_reconstruction(
     surfaces = read_layers(scan, found.patient, grid)
     refuse_tunnels(surfaces, found.world)
     pose, shaft = estimate_first_contact(found, surfaces, recipe)
+    if scan.id in scan.answers and not found.asked:
+        raise DataError(
+            "an answer about its entry is given, which is in no doubt",
+            expected="answers to what is asked",
+            fix=f"leave out --confirm for {scan.id}",
+        )
     begin = find_entry_arc_length(found.world, pose)
     along = arc_length(found.world)
     if along[-1] - begin < MIN_DEPTH_MM:

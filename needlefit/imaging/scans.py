@@ -4,7 +4,7 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -122,9 +122,10 @@ class Scan:
     needle_at: Floats | None = None  # (3,) or None; a point on the needle that is meant, LPS of the scan, mm
     divided: int = 0  # needles into which the program divided the scan, and set `needle_at`; 0: it did not
     origin: Literal["measured", "synthetic"] = "measured"
-    # As moved in 3D Slicer, and which answer a person gave; no column of a table states them.
+    # As moved in 3D Slicer, and numbers of the answers that a person gave, by the id of the scan or of one of
+    # its needles; no column of a table states them.
     corrections: Corrections | None = None
-    answered: int = 0  # number of the answer about the entry; 0: none
+    answers: dict[str, int] = field(default_factory=dict)
 
     @property
     def files(self) -> tuple[Path, ...]:
