@@ -6,7 +6,7 @@ It reads no needle: a person sees what is proposed, and `read` goes by that.
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import permutations, product
 from pathlib import Path
 
@@ -74,7 +74,7 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
     DataError of a file that cannot be read, or holds a dataset already.
     """
     draft = Draft(pairs)
-    files = list_different(_list_files(paths, draft))
+    files = list_files(paths, draft.unused)
     draft.names = name_files(files)
     if len(files) > MAX_CURVES:
         raise DataError(
@@ -154,13 +154,9 @@ def _ask_markups(path: Path, table: Table, draft: Draft, files: Sequence[Path]) 
             draft.ask("named_points", path.name, name=markups.name, names=names, number=len(draft.tables))
 
 
-def list_different(paths: Iterable[Path]) -> list[Path]:
-    """Return paths without those of a file that is named already."""
-    return [*{path.absolute(): path for path in paths}.values()]
-
-
-def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
-    """Yield the files that are named, or stand in a folder that is."""
+def list_files(paths: Iterable[Path], unused: list[tuple[str, str]]) -> list[Path]:
+    """Return the files that are named, or stand in a folder that is; `unused` gets what is not read."""
+    files = list[Path]()
     ends = tuple(end for entry in FORMATS.values() for end in entry.suffixes)
     suffixes = (*TEXT_SUFFIXES, *SHEET_SUFFIXES, *READ_SUFFIXES, *ends)
     for path in paths:
@@ -174,15 +170,16 @@ def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
         if not is_dir(path):
             if not path_exists(path):
                 raise DataError("there is no such file", fix="check the name and the path", where=path)
-            yield path
+            files.append(path)
             continue
         entries = list_entries(path)
         folders = [str(entry) for entry in entries if entry.is_dir()]
         named = [entry for entry in entries if entry.is_file() and not entry.name.startswith((".", "~$"))]
         readable = [entry for entry in named if entry.name.lower().endswith(suffixes)]
-        draft.unused += [(f"folder {Path(name).name}", "it is not searched: name it") for name in folders]
-        draft.unused += [(f"file {entry.name}", "its name") for entry in named if entry not in readable]
-        yield from readable or named[:1]  # which states why it is not read
+        unused += [(f"folder {Path(name).name}", "it is not searched: name it") for name in folders]
+        unused += [(f"file {entry.name}", "its name") for entry in named if entry not in readable]
+        files += readable or named[:1]  # which states why it is not read
+    return [*{path.absolute(): path for path in files}.values()]
 
 
 def list_entries(folder: Path) -> list[Path]:
@@ -367,11 +364,10 @@ def _name_unused(columns: TableDraft, has_points: bool) -> None:
         are_sides = len(texts) == 2 and not any(
             list_bare_numbers(text) or read_side(text, "") is None for text in texts
         )
-        if are_sides and not column.is_known:
-            columns.ask_meaning(column, ["bevel_side", ""], {})
         are_names = has_points and 1 < len(texts) <= len(column.texts) / 2 and not columns.names
-        if are_names and not column.is_known and all(map(float.is_integer, column.numbers)):
-            columns.ask_meaning(column, ["needle", "bevel_side", ""], {})
+        is_needle = are_names and all(map(float.is_integer, column.numbers))
+        if not column.is_known and (are_sides or is_needle):
+            columns.ask_meaning(column, ["bevel_side", ""] if are_sides else ["needle", "bevel_side", ""], {})
     columns.draft.unused += [
         (f"column {column.name}", columns.where)
         for column in columns.all

@@ -109,7 +109,8 @@ class MappedTable(Table):
             cells[meaning] = [
                 [
                     ""
-                    if text in self.record.missing or (is_place and _is_missing(text))
+                    if text in self.record.missing
+                    or (is_place and (text in CODES or text.lower() in MISSING))
                     else record.words.get(text, match[1] if (match := pattern.fullmatch(text)) else text)
                     for text in [row[m] for m in columns] or values
                 ]
@@ -165,8 +166,7 @@ class MappedTable(Table):
 
     def read_times(self, rows: Iterable[int]) -> Floats:
         """Return the times of rows, in whatever unit; NaN where there is none."""
-        numbers = (self.number(self.cells["time"][n][0]) for n in rows)
-        return np.array([np.nan if number is None else number for number in numbers], dtype=np.float64)
+        return np.array([self.number(self.cells["time"][n][0]) for n in rows], dtype=np.float64)
 
     def read_side(self, n: int) -> Stated:
         """Return where the bevel faces in a row."""
@@ -212,8 +212,3 @@ class MappedTable(Table):
         if "thickness" in stated:
             stated["boundaries"] = stated.pop("thickness").add_up()
         return stated
-
-
-def _is_missing(text: str) -> bool:
-    """Whether a cell states that a coordinate was not measured."""
-    return text in CODES or text.lower() in MISSING

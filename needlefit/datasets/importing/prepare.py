@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -11,12 +11,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.importing.draft import Draft
-from needlefit.datasets.importing.draft_files import (
-    EXAMPLE_SHEET,
-    draft_mapping,
-    list_different,
-    list_entries,
-)
+from needlefit.datasets.importing.draft_files import EXAMPLE_SHEET, draft_mapping, list_files
 from needlefit.datasets.importing.kinds import KINDS, ImportedCurve
 from needlefit.datasets.importing.meanings import (
     COORDINATES,
@@ -123,7 +118,7 @@ def _prepare(paths: Sequence[Path], assignments: Pairs, mapping: Path | None) ->
         record, unused, where = draft.to_record(DRAFT), draft.unused, DRAFT
     else:
         record, unused, where = _load(mapping, assignments), [], str(mapping)
-        files = list_different(_list_named(paths))
+        files = list_files(paths, [])
     try:
         return _plan(record, files, where, unused)
     except DataError as error:
@@ -170,11 +165,6 @@ def _load(mapping: Path, assignments: Pairs) -> MappingRecord:
         for key, text in assignments
     ]
     return check(override(keys, pairs, str(mapping)), MappingRecord, mapping)
-
-
-def _list_named(paths: Sequence[Path]) -> Iterator[Path]:
-    for path in paths:
-        yield from filter(Path.is_file, list_entries(path)) if path.is_dir() else (path,)
 
 
 def complete_draft(paths: Sequence[Path], assignments: Pairs) -> tuple[Draft, list[Path]]:

@@ -316,7 +316,7 @@ def _read_guide(mapped: MappedTable, rows: Sequence[int]) -> Floats | None:
 
 def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     """Add to needles what the rows of a table state of them: facts, turns or curvatures."""
-    record, kind = mapped.record, KINDS[mapped.record.holds]
+    record, kind, needles = mapped.record, KINDS[mapped.record.holds], dict[str, str]()
     if record.of == "all":
         for curve in curves:
             kind.read(mapped, curve, mapped.kept_rows)
@@ -324,18 +324,12 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     by_specimen = record.of == "specimen"
     names = ["".join(cells) for cells in mapped.cells["specimen"]] if by_specimen else mapped.names
     if kind.placer is not None:
-        needles = names if "needle" in record.columns else [mapped.name for _ in names]
-        depths = [
-            mapped.read_number("depth", n) if any(c) else None for n, c in enumerate(mapped.cells["depth"])
-        ]
-        names = name_stops(needles, depths)
-        holes = {name: needle for name, needle in zip(names, needles, strict=True) if name != needle}
-        taken = {curve.name for curve in curves}
-        paired = pair_names(names, taken)
-        for name in dict.fromkeys(name for name in names if name and name not in paired):
-            points, hole = Points(mapped.path, np.empty((0, 3))), holes.get(name, "")
-            curves.append(ImportedCurve(_make_name(name, taken), points, kind, given=hole, hole=hole))
-            taken.add(curves[-1].name)
+        given = names if "needle" in record.columns else [mapped.name for _ in names]
+        cells = enumerate(mapped.cells["depth"])
+        names = name_stops(
+            given, [mapped.read_number("depth", n) if any(texts) else None for n, texts in cells]
+        )
+        needles = dict(zip(names, given, strict=True))
     filled = [n for n in mapped.kept_rows if any(any(mapped.cells[key][n]) for key in record.columns)]
     rows = group_values((names[n], n) for n in filled)
     if blank := rows.get(""):
@@ -357,8 +351,12 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     }
     pairs = pair_names(rows, called.values())
     strangers = [name for name in rows if name not in pairs]
+    for name in strangers if needles else ():  # of which curvatures alone were measured
+        points, unique = Points(mapped.path, np.empty((0, 3))), _make_name(name, [c.name for c in curves])
+        curves.append(ImportedCurve(unique, points, kind, given=needles[name], hole=needles[name]))
+        called[curves[-1]] = pairs[name] = name
     without = [*dict.fromkeys(name for name in called.values() if name not in pairs.values())]
-    if strangers or (without and kind.is_of_each):
+    if len(pairs) < len(rows) or (without and kind.is_of_each):
         problem = f"no row is about {join_names(without, MAX_LISTED_NAMES)}"
         if strangers:
             problem = f"no {record.of} is called {join_names(strangers, MAX_LISTED_NAMES)}"

@@ -98,13 +98,6 @@ class Stated:
             raise self.error(f"degrees; in radians it would be {np.degrees(value):.4g}")
         return value
 
-    def require_choice(self) -> "Stated":
-        """Return it; DataError if its key has choices, and the text is none of them."""
-        choices = VALUES[self.key].choices
-        if choices and self.text not in choices:
-            raise self.error(f"one of {', '.join(choices)}")
-        return self
-
     def error(self, expected: str, fix: str = "") -> DataError:
         """Return the error of a cell that is not understood."""
         fix = fix or "correct it" + (f", or state {name_set(self.key)}" if self.key in VALUES else "")
@@ -203,7 +196,7 @@ class Settler:
         """
         meaning = VALUES[key]
         if shared := self.find_shared(key):
-            return shared.require_choice()
+            return shared
         self.used.add(key)
         usual = meaning.usual if usual is None else usual
         reason = reason or meaning.reason
@@ -215,7 +208,10 @@ class Settler:
             self.values[key] = usual
             if not is_sure:
                 self.assumed[key] = reason
-        return Stated(key, self.values[key], "", f"key values.{key}").require_choice()
+        stated = Stated(key, self.values[key], "", f"key values.{key}")
+        if meaning.choices and stated.text not in meaning.choices:
+            raise stated.error(f"one of {', '.join(meaning.choices)}")
+        return stated
 
     def find_shared(self, key: str) -> Stated | None:
         """Return the cell that every needle has alike; None if the mapping states the key, or some differ."""

@@ -19,7 +19,7 @@ from needlefit.datasets.importing.meanings import EXPORTS, find_meaning, is_bore
 from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem
-from needlefit.project.input_files import open_regular, path_exists, read_bytes, read_once
+from needlefit.project.input_files import open_regular, read_bytes, read_once
 from needlefit.project.reader_process import BYTES_PER_SECOND, READER_BYTES, Arrays, read_in_process
 from needlefit.schemas.mapping import ColumnName, TableRecord
 
@@ -274,8 +274,6 @@ def read_structured(path: Path) -> Table:
     """
     form = find_format(path)
     if form is None or form.read_curves is None or path.suffix.lower() in TEXT_SUFFIXES:
-        if not path_exists(path):
-            raise DataError("there is no such file", fix="check the name and the path", where=path)
         raise DataError(
             f"has the ending {path.suffix!r}, which is not read",
             expected="a table, a workbook, .mat, .h5, .npz, .npy, .json, .jsonl, markups, or an RT structure",

@@ -25,7 +25,6 @@ class CurvaturePlacer(TipPlacer):
     def settle_places(self) -> None:
         """Require the inserted length of each."""
         for curve in self.curves:
-            curve.hole = curve.hole or (curve.name if curve.is_named else "")
             if "depth" not in curve.stated:
                 raise DataError(
                     f"the inserted length of needle {curve.name} is not stated",

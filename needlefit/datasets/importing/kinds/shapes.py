@@ -77,7 +77,9 @@ class ShapePlacer(Placer):
         """Put the entry first: of needles of which nothing states their own end, at the end of all."""
         ends = {curve: curve.stated["entry"] for curve in self.curves if "entry" in curve.stated}
         for curve, end in ends.items():
-            if end.require_choice().text == "last":
+            if end.text not in OTHER_END:
+                raise end.error("first or last")
+            if end.text == "last":
                 curve.reverse()
         chords = np.array([curve.chord for curve in self.curves])
         chord = chords.sum(axis=0)

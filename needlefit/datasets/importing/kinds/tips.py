@@ -1,6 +1,5 @@
 """Tips alone: a row for each depth of a needle, with the place of its tip or the deflection."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -24,8 +23,6 @@ class TipPlacer(Placer):
         count = sum(len(curve.line) for curve in self.curves)
         if count > len(self.curves):
             self.note("tips", f"{count} readings; those of a needle at one depth are joined")
-        if max(Counter(curve.hole for curve in self.curves if curve.hole).values(), default=0) > 1:
-            self.note("hole", "readings of one needle are of one hole")
         if not all(curve.is_deflection for curve in self.curves):
             place_tips(self)
         for curve in self.curves:
