@@ -34,8 +34,7 @@ class Draft:
         self.assumed = dict[str, str]()
         self.opens = list[Question]()
         self.unused = list[tuple[str, str]]()  # what, and where it stands
-        # why nothing is read of a file, or of its sheets, and the columns of numbers that are not known
-        self.ignored = dict[str, tuple[str, list[str]]]()
+        self.ignored = dict[str, list[str]]()  # columns of numbers of files of which nothing is read
         self.headers = list[str]()  # of all tables
         self.columns_read = set[str]()  # meanings whose stated columns are there
         self.names = dict[Path, str]()  # what files are called

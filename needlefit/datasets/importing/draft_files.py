@@ -7,7 +7,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from itertools import permutations, product
+from itertools import permutations
 from pathlib import Path
 
 from needlefit.datasets.folds import MAX_NAMED_SPECIMENS
@@ -110,29 +110,25 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
     if "specimen" not in {*draft.columns, *draft.values}:
         _ask_sources(draft)
         _ask_specimens(draft, files)
-    if not draft.opens and not any(KINDS[table["holds"]].placer for table in draft.tables):
+    read = {name for table in draft.tables for name in table["files"]}
+    left = draft.ignored.keys() & {draft.names.get(path, "") for path in paths} - read
+    if not draft.opens and (left or not any(KINDS[table["holds"]].placer for table in draft.tables)):
         problem = "; ".join(
             f"{part}: {why}" for part, why in draft.unused if part.startswith(("table", "folder"))
         )
-        meanings = {*draft.columns}.union(*(table["columns"] for table in draft.tables))
+        meanings = {*draft.columns}.union(*(() if left else table["columns"] for table in draft.tables))
         needed = [key for key in ("depth", "deflection") if key not in meanings]
         numbers = [key.partition(".")[2] for key in draft.assumed if key.startswith("unused.")]
-        numbers += [name for _, names in draft.ignored.values() for name in names]
-        for key in needed if len(needed) < 2 else "xy":
-            lengths = [name for name in numbers if read_header(name).unit in ("", "px", *UNITS_MM)]
+        numbers += [name for names in draft.ignored.values() for name in names]
+        lengths = [name for name in numbers if read_header(name).unit in ("", "px", *UNITS_MM)]
+        keys = needed if len(needed) < 2 else [key for key in "xy" if key not in draft.columns]
+        for key in keys or "y" * len(left):
             answers = {name: {f"{key}.column": name} for name in lengths}
             if key == "x" and draft.ignored:
                 answers |= {f"{name}, a depth": {"depth.column": name} for name in lengths}
+            answers |= {f"without {name}": {"unused": json.dumps([name])} for name in left}
             text = f"{MEANINGS[key].text} ({problem or paths[0]})"
             draft.ask("column", str(paths[0]), answers, key=key, text=text)
-    read = {name for table in draft.tables for name in table["files"]}
-    for path in paths if not draft.opens else ():
-        if (name := draft.names.get(path, "")) in draft.ignored.keys() - read:
-            why, columns = draft.ignored[name]
-            answers = {"leave it out": {"unused": json.dumps([name])}}
-            for column, key in product(columns, ("x", "y", "depth", "deflection")):
-                answers |= {} if key in draft.columns else {f"{column} is {key}": {f"{key}.column": column}}
-            draft.ask("ignored", name, answers, name=name, why=why)
     return draft, files
 
 
@@ -349,7 +345,7 @@ def draft_entries(table: Table, keys: Keys, draft: Draft) -> None:
     draft.unused.append((f"table {columns.where}", problem))
     if not OF_LAYERS & {column.meaning for column in columns.all}:
         names = [str(column.name) for column in columns.list_unknown()]
-        draft.ignored[draft.names[table.path]] = problem, names
+        draft.ignored[draft.names[table.path]] = names
     elif "boundaries" not in draft.values:
         columns.ask("table", name=columns.name, headers=headers)
 

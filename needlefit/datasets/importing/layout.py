@@ -364,11 +364,20 @@ def can_be_stated(name: str) -> bool:
     return not REMARKED.isdisjoint(read_header(name).meaning.split("|"))
 
 
+# of a remark: `0,085 mm/px`, `1 px = 0.085 mm`
+_SCALES = (
+    re.compile(r"()([\d.,]+ *[mcu]?m) *(?:/|per|pro|par) *(?:px|pixel)", re.IGNORECASE),
+    re.compile(r"(?<![\d.,])1 *(px|pixel) *(?:=|:|≙) *([\d.,]+ *[mcu]?m)", re.IGNORECASE),
+)
+
+
 def _read_phrase(phrase: str, subject: str) -> tuple[str, str]:
     """Return the name and the value in a phrase of a remark, empty if it states nothing.
 
     `depth: 40 mm`, `18G`, `bevel up`; `length 150 mm` is that of the `subject`, with which the remark begins.
     """
+    if scale := next(filter(None, (form.search(phrase) for form in _SCALES)), None):
+        return "pixel size", scale[2]
     name, sign, value = (part.strip() for part in re.split("([:=：]|$)", phrase, maxsplit=1))
     if not sign:
         name, value = re.fullmatch(r"(.*?) *(\d.*|\S*)", phrase, re.DOTALL).groups()  # type: ignore[union-attr]

@@ -103,14 +103,14 @@ class MappedTable(Table):
         for meaning, record in self.record.columns.items():
             columns, value = self.list_columns(meaning), names.get(record.source, str(record.value))
             is_place = meaning in COORDINATES and self.has_points
+            missing = {*self.record.missing, *((*CODES, *MISSING) if is_place else ())}
             of_places = MEANINGS[meaning].parts in ("points", "sensors")
             values = value.split(";") if of_places else [value]  # in place of several columns
             pattern = re.compile(record.pattern or "(.*)", re.DOTALL)
             cells[meaning] = [
                 [
                     ""
-                    if text in self.record.missing
-                    or (is_place and (text in CODES or text.lower() in MISSING))
+                    if {text, text.lower()} & missing
                     else record.words.get(text, match[1] if (match := pattern.fullmatch(text)) else text)
                     for text in [row[m] for m in columns] or values
                 ]

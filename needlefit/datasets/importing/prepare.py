@@ -33,12 +33,6 @@ from needlefit.project.toml import check, load, override
 from needlefit.schemas.mapping import MappingRecord
 
 STATED_MM = (1.0, 2000.0)  # least and greatest length (mm) of the longest needle by a stated unit
-# of a remark: `0,085 mm/px`, `1 px = 0.085 mm`
-_LENGTH = r"(\d+(?:[.,]\d+)?) *([mcu]?m)"
-_SCALES = (
-    re.compile(rf"{_LENGTH} *(?:/|per|pro|par) *(?i:px|pixel)"),
-    re.compile(rf"(?<![\d.,])1 *(?i:px|pixel) *(?:=|:|≙) *{_LENGTH}"),
-)
 _GAUGE = re.compile(r"(?<![^\W_])(1\d|2\d|3[0-4]) ?G(?![^\W_])")  # of a name or a line: `22G x 150 mm`
 MAX_LENGTH_RATIO = 8.0  # of the longest needle and the shortest: of cm among mm it is near 10
 WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
@@ -204,9 +198,7 @@ def _settle_units(draft: Draft, files: Sequence[Path]) -> None:
         if column.get("unit", "px") == "px"
     ]
     if any("unit" in column for column in lacking):
-        scales = [scale for line, _ in draft.unused for form in _SCALES if (scale := form.search(line))]
-        steps = {f"{scale[1].replace(',', '.')} {scale[2]}" for scale in scales}
-        draft.ask("unit", file, {step: {"unit": step} for step in steps}, reason="A header states pixels")
+        draft.ask("unit", file, reason="A header states pixels")
         return
     if lacking:
         curves = read_curves(tables, [])

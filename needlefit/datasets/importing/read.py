@@ -259,7 +259,7 @@ def _read_points(mapped: MappedTable, left_out: list[str]) -> Iterator[list[Impo
                 guide=_read_guide(mapped, of_part),
                 is_named=bool(name),
                 given=given,
-                first_stop=None if is_deflection or title == given else values[0],
+                origin=np.zeros(3) if is_deflection or len(rows) == 1 else values[0],
             )
             if is_deflection:
                 curve.stated.pop("depth", None)
@@ -415,12 +415,8 @@ def _lacks_word(key: str, other: str) -> bool:
 
 def _join_observations(needles: Iterable[list[ImportedCurve]]) -> None:
     """Give needles one hole where one has the name and depth of a shape; its tip stands beside the shape."""
-    shapes = {
-        curve.given: curve
-        for insertions in needles
-        for curve in insertions
-        if curve.kind.has_shape and curve.is_named
-    }
+    firsts = [needle[0] for needle in needles]
+    shapes = {curve.given: curve for curve in firsts if curve.kind.has_shape and curve.is_named}
     for insertions in needles:
         for curve in tuple(insertions):
             shape, depths = shapes.get(curve.given, curve), curve.reading_depths

@@ -60,7 +60,8 @@ class ImportedCurve:
     is_named: bool = True  # a cell names it; else it has the name of its file or sheet
     given: str = ""  # its name in the file, which several curves may have
     hole: str = ""  # the name that depths of one hole have together
-    first_stop: Floats | None = None  # (3,), mm; the first place of a tip that was read in several
+    # (3,), mm; from where its reach counts
+    origin: Floats = field(default_factory=lambda: np.zeros(3))
     side: int = 1  # of its bevel, 1 or -1
     turn: float = 0.0  # rad; by which the bevel of side 1 is turned from up, about the needle
     shaft: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3), mm; points up to the entry
@@ -149,11 +150,7 @@ class ImportedCurve:
     @property
     def reach(self) -> float:
         """The greatest distance of a point from the first of its needle; 0 without points."""
-        if not len(self.line):
-            return 0.0
-        is_from_origin = self.is_deflection or len(self.line) == 1
-        start = self.first_stop if self.first_stop is not None else 0.0 if is_from_origin else self.line[0]
-        return float(np.linalg.norm(self.line - start, axis=1).max())
+        return float(np.linalg.norm(self.line - self.origin, axis=1).max(initial=0.0))
 
     def read_tip(self, n: int) -> TipReading:
         """Return a point as the reading of a tip."""
