@@ -170,7 +170,8 @@ OF_LAYERS = (
     "shape",
     "boundaries",
 )  #: what has the shape that it has in `tissue`, behind that of the sets
-VARYING_FIELDS = tuple(field.name for field in fields(Batch) if field.init)[4:]  #: what a set may give
+#: fields of a batch that a set may give
+VARYING_FIELDS = tuple(field.name for field in fields(Batch) if field.init)[4:]
 
 
 @dataclass(frozen=True)
@@ -466,7 +467,8 @@ def linearize_batches(
 
 
 Found = TypeVar("Found")  #: the shapes of a batch, or these and their derivatives
-#: nodes whose shapes are held at once: 60 bytes each, with derivatives about 2 kB of a fit of nine parameters
+#: number of nodes whose shapes are held at once: each takes 60 bytes, with derivatives about 2 kB in a fit of
+#: nine parameters
 NODES_AT_ONCE = 40_000
 
 

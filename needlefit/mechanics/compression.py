@@ -29,8 +29,8 @@ from needlefit.errors import ModelError
 #: force over the area before compression (engineering stress), or over the area now (Cauchy's)
 StressMeasure = Literal["nominal", "true"]
 
-MAX_STRETCH = 10.0
-SERIES_LIMIT = 1e-2  #: |x| below which two terms of a series are more exact than the closed form
+MAX_STRETCH = 10.0  #: largest stretch, length over initial length: a larger number is likely a percentage
+SERIES_LIMIT = 1e-2  #: value of |x| below which two terms of a series are more exact than the closed form
 
 
 def compute_stress(mu: float, alpha: float | Floats, stretch: Floats, measure: StressMeasure) -> Floats:

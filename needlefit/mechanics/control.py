@@ -209,7 +209,8 @@ class Step:
         return (self.bevel.roll_deg != 0 and self.bevel.toward[1] != 0) or self.controls.act_along_z
 
 
-COARSEST_TOLERANCE_MM = 1e-3  #: of Newton's method: coarser ones end before the first correction
+#: largest tolerance of Newton's method (mm): with a larger one it ends before the first correction
+COARSEST_TOLERANCE_MM = 1e-3
 
 
 @dataclass(frozen=True)

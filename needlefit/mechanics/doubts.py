@@ -21,7 +21,8 @@ from needlefit.project.unit_warnings import (
 )
 
 CUT_ANGLE_RAD = (math.radians(CUT_ANGLE_DEG[0]), math.radians(CUT_ANGLE_DEG[1]))
-OPEN_DEPTH_PART = 1 / 3  # of a needle's length: to there it is inserted at least, where no depth is stated
+# smallest depth that is assumed where none is stated, as a fraction of the needle's length
+OPEN_DEPTH_PART = 1 / 3
 
 
 def warn_of_units(

@@ -9,10 +9,10 @@ from needlefit.mechanics.laws import LAWS, list_shape_parameters
 from needlefit.mechanics.shape import LIMITS
 from needlefit.schemas.limits import MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
 
-MAX_GUIDE_NUMBER = 32  #: greatest number of a guide
-MAX_CUT_ANGLE_DEG = 45.0
-MAX_MU_PA = 1e15  #: greatest mu, Pa: beyond it, rounding exceeds the needle's own stiffness
-#: the base stops so far before the first guide, mm: a span of less than about four diameters is no beam
+MAX_GUIDE_NUMBER = 32  #: largest number that a guide may have
+MAX_CUT_ANGLE_DEG = 45.0  #: angle of the cut (degrees) below which that of an input must be
+MAX_MU_PA = 1e15  #: largest mu (Pa): beyond it, rounding exceeds the needle's own stiffness
+#: smallest distance (mm) of the base from the first guide: a span below about four diameters is no beam
 BASE_CLEARANCE_MM = 5.0
 
 

@@ -22,25 +22,25 @@ from needlefit.arrays import Floats, Ints, pad_axis
 from needlefit.errors import NeedlefitError
 
 FOLDER = Path(__file__).parent / "native"
-ABI_VERSION = 4
+ABI_VERSION = 4  #: version of the kernel's interface: `nf_abi_version` of `native/abi.cpp`
 #: environment variable: a library to use instead of the package's own, such as one with sanitizers
 LIBRARY_VARIABLE = "NEEDLEFIT_LIBRARY"
 
 _FIX = "install needlefit again; of a checkout: pip install -e ."
 
-SAME_DEPTH_MM = 1e-9  #: two depths that differ by less than this, mm, are the same
-LINEAR_CUT = -1.0  #: in place of a `switch`: the cut is linear between its constraint points
-#: of a law's table: its pieces of equal length, the Chebyshev terms of each, |e| / t at its end
+SAME_DEPTH_MM = 1e-9  #: difference (mm) below which two depths are the same
+LINEAR_CUT = -1.0  #: value in place of a `switch` where the cut is linear between its constraint points
+#: table of a law: number of its pieces of equal length, number of Chebyshev terms of each, |e| / t at its end
 TABLE_PIECES, TABLE_TERMS, TABLE_COMPRESSION = 16, 20, 0.8
-#: of the polynomial fitted to a law: its terms, its relative error, and |e| / t at the end of the longest
+#: polynomial fitted to a law: number of its terms, its relative error, |e| / t at the end of the longest one
 SERIES_TERMS, SERIES_TOLERANCE, MAX_SERIES_COMPRESSION = 6, 1e-10, 0.2
-MAX_SHAPES = 16  #: most shape parameters of a law
+MAX_SHAPES = 16  #: largest number of shape parameters of a law
 
-CONVERGED, NON_FINITE = 0, 3
-PERMANENT, STARTS_RAY, EXTRAPOLATES, PAST = 1, 2, 4, 8
+CONVERGED, NON_FINITE = 0, 3  #: numbers of two results of a simulation: `Status` of `native/needle.hpp`
+PERMANENT, STARTS_RAY, EXTRAPOLATES, PAST = 1, 2, 4, 8  #: parts of a stop's `flags`
 STOP = np.dtype(
     [("tip", "f8"), ("cell", "i8"), ("ray", "i8"), ("bevel", "i8"), ("inputs", "i8"), ("flags", "i8")]
-)  #: a stop of the tip; `flags` is a sum of the three above
+)  #: a stop of the tip; `flags` is a sum of the parts above
 
 _SIZES = [
     "planes", "sets", "layers", "shapes", "terms", "numbers", "stop_count", "bevels", "inputs", "rays",
@@ -79,8 +79,8 @@ FAULTS = (
     "a derivative lies outside of the Jacobian",
     "the arrays for shapes are too small",
     "points or nodes do not increase, or lie too deep",
-)  #: by the numbers that the kernel returns: `Fault` of `native/checks.hpp`
-BAD_POINTS = 7
+)  #: faults by the numbers that the kernel returns: `Fault` of `native/checks.hpp`
+BAD_POINTS = 7  #: number of the last of these faults
 
 
 _RETURN_NUMBERS = (

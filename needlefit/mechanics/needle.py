@@ -10,10 +10,11 @@ from needlefit.project.unit_warnings import doubt_modulus, doubt_sizes, warn
 from needlefit.schemas.limits import MAX_NEEDLE_DIAMETER_MM, MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
 from needlefit.schemas.scene import NeedleRecord
 
-DEFAULT_DIAMETER_MM = 1.27  #: with which a needle is drawn where none is stated: 18 gauge
+DEFAULT_DIAMETER_MM = 1.27  #: diameter (mm) of a drawn needle where none is stated: 18 gauge
 
-MIN_MODULUS_MPA = 500.0  #: of a needle: polymers have 1000 to 5000, and a smaller number is one in GPa
-MAX_MODULUS_MPA = 1e6  #: a greater number is one in Pa
+#: smallest Young's modulus of a needle (MPa): polymers have 1000 to 5000; a smaller number is one in GPa
+MIN_MODULUS_MPA = 500.0
+MAX_MODULUS_MPA = 1e6  #: largest Young's modulus of a needle (MPa): a larger number is one in Pa
 
 
 def is_bounded(*values: float) -> bool:

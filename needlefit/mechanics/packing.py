@@ -37,17 +37,19 @@ from needlefit.mechanics.plan import Lattice, Move, TipStop, check_size, make_la
 from needlefit.mechanics.shape import compute_scales
 from needlefit.mechanics.tissue import Tissue
 
-#: |e| / t that every table must reach: the kernel's series may go so far
+#: smallest |e| / t at which a table may end: the kernel's series may go so far
 LEAST_COMPRESSION = MAX_SERIES_COMPRESSION
-TABLE_TOLERANCE = SERIES_TOLERANCE / 10  #: relative error of k in a table
+TABLE_TOLERANCE = SERIES_TOLERANCE / 10  #: largest relative error of k in a table
 
-_PIECE = TABLE_COMPRESSION / TABLE_PIECES
-_END = 1e-12  # a table ends within its last good piece, not at the beginning of the next one
-#: on [-1, 1]: the points, and where the error of the polynomial through them is largest
+_PIECE = TABLE_COMPRESSION / TABLE_PIECES  #: length of a piece of a table, in |e| / t
+# |e| / t by which a table ends before the end of its last good piece, so that no further piece is read
+_END = 1e-12
+#: Chebyshev points on [-1, 1], and the places between them where the error of the polynomial is largest
 _POINTS = np.cos(np.pi * (2 * np.arange(TABLE_TERMS) + 1) / (2 * TABLE_TERMS))
 _BETWEEN = np.cos(np.pi * np.array([0, 1, TABLE_TERMS // 2, TABLE_TERMS - 1, TABLE_TERMS]) / TABLE_TERMS)
 _TO_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(_POINTS, TABLE_TERMS - 1)).T
 _TO_BETWEEN = chebyshev.chebvander(_BETWEEN, TABLE_TERMS - 1).T
+#: stretches of the points of each piece, then of the places between them, (pieces, points)
 _STRETCH = 1 - _PIECE * (np.arange(TABLE_PIECES)[:, None] + 0.5 * (1 + np.concatenate((_POINTS, _BETWEEN))))
 
 
@@ -382,7 +384,7 @@ def pack_problem(
     return native.KernelProblem.make(of_layers | numbers | sizes, arrays | of_sets)
 
 
-#: Newton tolerance of shapes that are differentiated, mm; at this, `simulate_steps` gives the same shape
+#: largest Newton tolerance (mm) of differentiated shapes; at it, `simulate_steps` gives the same shape
 MAX_TOLERANCE_MM = 1e-9
 
 

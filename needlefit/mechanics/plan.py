@@ -74,7 +74,7 @@ def check_reach(length: float, depth: float, controls: Controls) -> None:
     )
 
 
-SAME_DEPTH_MM = 1e-9  #: two depths that differ by less than this, mm, are the same
+SAME_DEPTH_MM = 1e-9  #: difference (mm) below which two depths are the same
 
 
 class Move(NamedTuple):

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 FILE = Path(__file__).with_suffix(".csv")
-YOUNGS_OVER_SHEAR = 3.0  #: of an incompressible solid
+YOUNGS_OVER_SHEAR = 3.0  #: Young's modulus over the shear modulus of an incompressible solid
 
 
 class PublishedRange(NamedTuple):

@@ -18,17 +18,18 @@ from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.tissue import Tissue
 
-#: greatest slope |u'| for the assumption of small slopes: u' and its sine then differ by 1.5 %
+#: largest slope |u'| for the assumption of small slopes: u' and its sine then differ by 1.5 %
 MAX_SLOPE = 0.3
-#: at this deflection a cantilever under an end force has a slope of 0.3, and linear theory is 4 % off
+#: largest deflection over length: a cantilever under an end force then has a slope of 0.3, and linear theory
+#: is 4 % off
 MAX_DEFLECTION_PER_LENGTH = 0.2
-#: the needle's points lie nearer to the entry than the model assumes. Beyond half of the thinnest layer, most
-#: of that layer's load is assigned to another layer.
+#: largest shortening over the thickness of the thinnest layer: the needle's points lie nearer to the entry
+#: than the model assumes. Beyond half of that layer, most of its load is assigned to another layer.
 MAX_SHORTENING_PER_LAYER = 0.5
-#: guides hold deflections, integrals of u'; the needle's points are integrals of sin u'. They may miss guides
-#: and entry by so much, mm: few know the place of a guide better.
+#: largest distance (mm) by which a needle's points may miss guides and entry. Guides hold deflections,
+#: integrals of u'; the points are integrals of sin u'. Guides are hardly measured better.
 MAX_MISS_MM = 0.1
-#: |e| / t: compression tests of soft tissue, the basis of the laws, end at about half of the thickness
+#: largest |e| / t: compression tests of soft tissue, the basis of the laws, end at about half the thickness
 MAX_COMPRESSION = 0.5
 
 
@@ -146,7 +147,7 @@ def _find_size(parts: Sequence[Floats]) -> Floats:
     return np.abs(reduce(np.hypot, parts))
 
 
-ENTRY_TOLERANCE_MM = -1e-9  #: an element that begins before this depth, mm, lies before the entry
+ENTRY_TOLERANCE_MM = -1e-9  #: smallest depth (mm) at which an element in the tissue begins: 0 within rounding
 
 
 def _find_slopes(
@@ -189,6 +190,7 @@ def _find_slopes(
     return steepest, (shortening * step).sum(axis=-1), [miss * step for miss in misses]
 
 
+#: places and weights of Gauss-Legendre quadrature with three points on [0, 1]
 _GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 4 / 9), (0.5 + math.sqrt(0.15), 5 / 18))
 
 

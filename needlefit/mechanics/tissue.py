@@ -16,8 +16,9 @@ from needlefit.mechanics.needle import is_bounded, require_type
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.scene import LayerRecord
 
-MAX_MU_MPA = 1e4  #: 10 GPa: no tissue is as stiff
-LIKELY_MU_MPA = 100.0  #: a greater modulus is more likely one in Pa, of which no tissue has so few
+MAX_MU_MPA = 1e4  #: largest mu (MPa): no tissue is as stiff as 10 GPa
+#: largest mu (MPa) of a value that was not checked: a larger number is more likely one in Pa
+LIKELY_MU_MPA = 100.0
 
 
 @dataclass(frozen=True, init=False)

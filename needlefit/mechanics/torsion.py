@@ -12,7 +12,7 @@ from needlefit.mechanics.control import Bevel, Step
 from needlefit.mechanics.needle import Needle, require_type
 from needlefit.mechanics.tissue import Tissue
 
-POISSON_RATIO = 0.3  #: of the needle: its torsional rigidity is GJ = EI / (1 + nu)
+POISSON_RATIO = 0.3  #: Poisson's ratio nu of the needle: its torsional rigidity is GJ = EI / (1 + nu)
 
 
 def compute_roll_lag(needle: Needle, tissue: Tissue, depth: float) -> float:

@@ -23,6 +23,7 @@ from needlefit.registry import Registry
 
 Numbers = NDArray[Any]  #: real or complex
 
+# imaginary step of complex-step differentiation, which takes no difference that would be rounded
 COMPLEX_STEP = 1e-30
 
 _TAKEN = ("mu", "friction", "boundary", "top_mm", "mu_pa", "thickness_mm")  # other numbers of a layer
