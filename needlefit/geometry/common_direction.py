@@ -12,9 +12,10 @@ from needlefit.geometry.measured_curve import measure_curve
 
 MIN_FITTED_NEEDLES = 3  # smallest number of needles to which a common direction is fitted
 MIN_CURVE_POINTS = 5  # smallest number of points of a needle that counts in the common direction
-# Tissue turns a needle at its entry toward its bevel: by its curvature, times a length of this size.
+# SD of the length (mm) whose product with a needle's curvature is its turn at the entry, toward its bevel
 TURN_LENGTH_SD_MM = 80.0
-TANGENT_SD_RAD = math.radians(0.5)  # of single needles, before their scatter is known
+# SD of one needle's direction at the entry (rad), before the scatter of all is known
+TANGENT_SD_RAD = math.radians(0.5)
 MIN_ONE_WAY = 0.9  # length of the mean of unit curvatures beyond which all needles bend to one side
 
 

@@ -10,9 +10,9 @@ from needlefit.arrays import Bools, Floats, Ints
 from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
 from needlefit.geometry.surfaces import BLOCK_PAIRS, Surface
 
-# Hits of one surface closer than this along the curve, mm, are one: its triangles share edges.
+# distance along the curve (mm) below which two hits of one surface are one: its triangles share edges
 SAME_HIT_MM = 1e-6
-# Relative slack at the edges of triangles and ends of segments: an edge is hit twice rather than never.
+# relative slack at the edges of triangles and ends of segments: an edge is hit twice rather than never
 EDGE_TOLERANCE = 1e-9
 
 
@@ -196,7 +196,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 ENCLOSURE_RAYS = 12  # number of directions across the curve in which the surface is searched
-# Number of directions that may miss a surface that encloses the curve; a plane is missed by half of them.
+# largest number of directions that may miss a surface that encloses the curve; half of them miss a plane
 MAX_MISSED_RAYS = 1
 
 

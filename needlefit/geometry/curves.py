@@ -27,7 +27,7 @@ def interpolate_at_arc(points: ArrayLike, s: ArrayLike) -> Floats:
     return np.column_stack([np.interp(np.asarray(s, dtype=np.float64), along, axis) for axis in array.T])
 
 
-STRAIGHT_TOLERANCE_MM = 1e-9  # greatest distance from the entry line, mm, of a curve that counts as straight
+STRAIGHT_TOLERANCE_MM = 1e-9  # largest distance from the entry line (mm) of a curve that counts as straight
 
 
 def find_bending_direction(centerline: ArrayLike, direction: ArrayLike) -> Floats:
@@ -73,6 +73,7 @@ def fit_free_frame(centerline: ArrayLike) -> Frame:
     return make_entry_frame(origin, along + slope * across, side * across)
 
 
+# nodes and weights of Gauss-Legendre quadrature on [-1, 1]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
@@ -109,8 +110,10 @@ def select_compared(points: Floats, compared: Compared, axis: int = -1) -> Float
 #: what is compared of two needles: places along them, the tip at each reading of a track, curvatures at
 #: sensors, or the tip that these lead to; "noise" is of errors that are divided by it
 Quantity = Literal["places", "readings", "curvatures", "integrated", "noise"]
-TIP_POINTS = 2  # that stand for a measured tip: its entry, which is stated, and the tip
-COMPARISON_POINTS = 101  # points at which two curves are compared, from entry (j = 1) to tip (j = K)
+# number of points of a curve of which only the tip was measured: the stated entry, and the tip
+TIP_POINTS = 2
+# number of points at which two curves are compared, from entry (j = 1) to tip (j = K)
+COMPARISON_POINTS = 101
 
 
 @dataclass(frozen=True)

@@ -20,14 +20,17 @@ from needlefit.geometry.penalized_spline import PenalizedSpline, fit_penalized_s
 
 MIN_SMOOTHED_POINTS = 5  # smallest number of points that show their noise; fewer are joined by chords
 MAX_FITS = 8  # largest number of fits of the curve while the feet of its points move
-MAX_FOOT_SHIFT = 1e-4  # largest movement of a foot (part of the length) at which fitting ends
+MAX_FOOT_SHIFT = 1e-4  # largest movement of a foot, as a fraction of the length, at which fitting ends
 SAMPLES_PER_POINT = 4  # number of places per point at which a smooth curve is integrated
 MIN_SAMPLES = 200  # smallest number of places at which a whole curve is integrated
-# A step that differs from the usual one by no more than so many deviations of its noise is the usual one.
+# largest difference of a step from the usual one, in deviations of its noise, at which it counts as usual
 EQUAL_STEP_SD = 4.0
+# deviations of noise by which the foot of an end may lie off the even spacing; beyond, the foot is its place:
+# many tables end with the tip, at less than a whole step
 END_STEP_SD = 3.0  # the same for the first and the last step, by the foot of the end
-MIN_EQUAL_STEPS = 0.9  # part of the steps that must be the usual one, that points may be evenly spaced
-MAX_NOISE_RATIO = 1.5  # noise along the needle over that across it, beyond which spacing is uneven
+MIN_EQUAL_STEPS = 0.9  # smallest fraction of usual steps at which points count as evenly spaced
+# largest noise along the needle over that across it at which points count as evenly spaced
+MAX_NOISE_RATIO = 1.5
 
 
 @dataclass(frozen=True)

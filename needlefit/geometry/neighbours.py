@@ -8,8 +8,8 @@ from needlefit.arrays import Floats, Ints
 
 MIN_NEIGHBOURS = 4  #: smallest number of neighbours on either side of a point
 MAX_NEIGHBOURS = 20  #: largest number of neighbours on either side of a point
-REACH_MM = 8.0  #: distance (mm) within which points are neighbours, between these numbers
-MAX_ORDER = 3  #: greatest order of the polynomial through neighbours
+REACH_MM = 8.0  #: distance (mm) within which points are neighbours, between these two numbers of them
+MAX_ORDER = 3  #: largest order of the polynomial through neighbours
 
 
 def leave_one_out(x: Floats, values: Floats) -> tuple[Floats, Floats]:

@@ -17,14 +17,13 @@ DEGREE = 3  # degree of the spline
 PENALTY_ORDER = 3  # order of the differences that are penalised
 MAX_PIECES = 40  # largest number of cubics of a spline
 MAX_GAP_PIECES = 2  # largest number of cubics in a gap between places: in more the penalty alone would decide
-# Logarithms of the ratio of variances, penalised part to noise, among which the most likely one is searched.
-MIN_LOG_RATIO = -30.0  # least logarithm that is tried
-MAX_LOG_RATIO = 33.0  # greatest logarithm that is tried
+# logarithm of the ratio of variances, penalised part to noise: the most likely of the tried ones is taken
+MIN_LOG_RATIO = -30.0  # smallest logarithm that is tried
+MAX_LOG_RATIO = 33.0  # largest logarithm that is tried
 LOG_RATIOS = 85  # number of logarithms that are tried
-MIN_RELATIVE_NOISE = 1e-9  # noise below this part of the values' range is rounding
-STATED_WEIGHT = (
-    2.0  # residuals as many as which a stated noise counts: a few points may hide theirs by chance
-)
+MIN_RELATIVE_NOISE = 1e-9  # smallest noise, as a fraction of the values' range: less is rounding
+# number of residuals that a stated noise counts as: a few points may hide theirs by chance
+STATED_WEIGHT = 2.0
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
 
-DEGREE = 3
+DEGREE = 3  # degree of the spline
 
 
 def make_knots(start: float, end: float, spacing: float) -> Floats:

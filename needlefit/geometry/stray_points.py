@@ -5,14 +5,15 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 
-# Distance of a stray point from the middle of its curve.
-MIN_DISTANCE_RATIO = 10.0  # over the median of all: evenly spaced points have at most 2
-MIN_DISTANCE_MM = 300.0  # mm: a tip may lie far from all other points that were measured
-# The way over a stray point against the way without it.
-MIN_DETOUR_RATIO = 5.0  # smallest detour over the direct way
-MIN_DETOUR = 0.5  # smallest difference of detour and direct way over that median
+# smallest distance of a stray point from the middle of its curve, as a multiple of the median distance of all
+# points; evenly spaced points have at most 2
+MIN_DISTANCE_RATIO = 10.0
+# smallest distance (mm) of a stray point from that middle: a tip may lie far from all other points
+MIN_DISTANCE_MM = 300.0
+MIN_DETOUR_RATIO = 5.0  # smallest length of the way over a stray point, as a multiple of the way without it
+MIN_DETOUR = 0.5  # smallest difference of these two lengths, as a fraction of the median distance
 MAX_STRAY_FRACTION = 0.25  # largest fraction of stray points; more are no mistakes of single points
-MIN_REGULAR_POINTS = 4  # number of points up to which no point of a curve counts as stray
+MIN_REGULAR_POINTS = 4  # largest number of points of a curve at which none counts as stray
 
 
 def find_stray_points(curve: Floats) -> NDArray[np.int64]:

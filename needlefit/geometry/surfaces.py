@@ -23,22 +23,24 @@ if TYPE_CHECKING:
 
 SurfaceKind = Literal["sheet", "solid"]
 
-MAX_MESH_BYTES = 256 * 2**20
-BLOCK_PAIRS = 200_000  # pairs of a triangle and a point or segment tested at once; bounds the memory
+MAX_MESH_BYTES = 256 * 2**20  # largest size of a file of a mesh (bytes)
+# number of pairs of a triangle and a point or segment that are tested at once; it limits the memory
+BLOCK_PAIRS = 200_000
 EDGE_TOLERANCE = 1e-9  # sine of the angle below which a ray and both ends of an edge lie in one plane
-MERGED_MM = 1e-8  # vertices that agree in whole multiples of it, mm, are one
-MAX_MERGED_MM = 1e9  # greatest plausible coordinate of a boundary, mm
+MERGED_MM = 1e-8  # spacing (mm) of the grid to which vertices are rounded before equal ones are merged
+MAX_MERGED_MM = 1e9  # largest plausible coordinate of a boundary (mm)
 _ELEMENT = re.compile(rb"element\s+(\w+)\s+(\d{1,19})")
 _EDGE_ELEMENT = re.compile(rb"^(element[ \t]+)edge([ \t])", re.MULTILINE)
 _OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
-STL_HEADER_BYTES = 84  # of a binary STL file: 80 of any text, and the number of triangles
-STL_TRIANGLE_BYTES = 50  # of each triangle behind it
+# size (bytes) of the head of a binary STL file: 80 of any text, and the number of triangles
+STL_HEADER_BYTES = 84
+STL_TRIANGLE_BYTES = 50  # size (bytes) of each triangle behind the head
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _STL_FACET = re.compile(rb"\bendfacet\b", re.IGNORECASE)
 _STL_VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 READ_SUFFIXES = (".stl", ".ply", ".obj")
 
-HEADER_BYTES = 4096  # bytes at the beginning of a mesh in which its coordinate system is looked for
+HEADER_BYTES = 4096  # number of bytes at the beginning of a mesh in which its coordinate system is looked for
 _MESH_FIX = "export the surface again, as binary STL"
 _CLOUD_FIX = (
     "save points of a needle as CSV with columns x, y, z, entry first; "
@@ -46,7 +48,7 @@ _CLOUD_FIX = (
 )
 _SPACE_PATTERN = re.compile(rb"SPACE=(LPS|RAS)")
 
-COORDINATE_DECIMALS = 4  # coordinates are written to 1e-4 mm
+COORDINATE_DECIMALS = 4  # decimals of coordinates (mm) in a written file
 
 
 @dataclass(frozen=True, eq=False)
