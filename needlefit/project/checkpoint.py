@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-MAX_CHECKPOINT_BYTES = 2**31  # size of a file of rows
-DIGEST_KEY = "sha256"  # of a row: the digest of the rest of it
+MAX_CHECKPOINT_BYTES = 2**31  # largest size of a file of rows (bytes)
+DIGEST_KEY = "sha256"  # key of a row whose value is the digest of the rest of the row
 _OWN_FILE = re.compile(rf"{LOCK_NAME}|{re.escape(MANIFEST)}|[0-9a-f]{{16}}\.jsonl")
 
 _held: "dict[Path, BaseFileLock]" = {}

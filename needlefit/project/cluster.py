@@ -29,12 +29,13 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-CONNECT_S = 10.0  # seconds that a scheduler may take to answer
-CLOSE_S = 2.0  # seconds that a scheduler, which may be lost, has to take leave
+CONNECT_S = 10.0  # longest time (s) that a scheduler may take to answer
+CLOSE_S = 2.0  # longest time (s) that closing the connection may take: the scheduler may be lost
 COUNT_WORKERS_S = 1.0
-"""Least seconds between two counts of the workers: each sends the addresses of all of them here."""
+"""Shortest time (s) between two counts of the workers: each count sends the addresses of all of them here."""
 
-TASKS_PER_WORKER = 2  # tasks at the scheduler for each worker: one that runs, and one that follows it at once
+# number of tasks at the scheduler for each worker: one that runs, and one that follows it at once
+TASKS_PER_WORKER = 2
 CHECKED_PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "trimesh")
 """Packages that results depend on; their versions are equal everywhere."""
 

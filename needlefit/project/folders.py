@@ -99,7 +99,7 @@ def not_writable_error(place: Path, reason: str) -> ConfigError:
 
 MANIFEST = "needlefit.json"
 
-FORMAT = 1
+FORMAT = 1  # version of the format of results, which their manifest states
 
 FILE_MANAGER_FILES = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})
 """What a file manager leaves in a folder that it shows; nobody's work."""
@@ -107,7 +107,7 @@ FILE_MANAGER_FILES = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})
 TIMING_FILE = "timing.json"
 """The one file of a result that differs from run to run; without its digest the manifest does not."""
 
-MAX_LISTED_FILES = 5  # files that a message names
+MAX_LISTED_FILES = 5  # largest number of files that a message names
 CHANGED = "was changed since it was written"
 
 

@@ -18,9 +18,9 @@ from typing import Any, BinaryIO, TypeVar
 
 from needlefit.errors import ConfigError, DataError
 
-MAX_CONFIG_BYTES = 8 * 2**20  # size of a TOML file
-MAX_TEXT_BYTES = 256 * 2**20  # size of a table, a list of markups or another text file
-MAX_FOLDER_FILES = 200_000  # files in a folder and its subfolders
+MAX_CONFIG_BYTES = 8 * 2**20  # largest size of a TOML file (bytes)
+MAX_TEXT_BYTES = 256 * 2**20  # largest size of a table, a list of markups or another text file (bytes)
+MAX_FOLDER_FILES = 200_000  # largest number of files in a folder and its subfolders
 SAVE_AS_UTF8 = 'save it as UTF-8 (in a spreadsheet: "CSV UTF-8")'
 
 Content = TypeVar("Content")
@@ -108,7 +108,8 @@ def parse_json(text: str, where: str) -> Any:  # noqa: ANN401 - whatever the tex
         ) from None
 
 
-MAX_NESTING = 50  #: tables and lists within each other; no file of ours has more than eight
+#: largest depth of tables and lists within each other; no file of needlefit has more than eight
+MAX_NESTING = 50
 # A key of thousands of parts, of which the parser would take the square.
 _DEEP_KEY = re.compile(rf"""(?:\.\s*+(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')\s*+){{{MAX_NESTING}}}""")
 

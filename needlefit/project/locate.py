@@ -29,7 +29,7 @@ PROJECT_FOLDERS = ("data", "configs", "studies")
 EVERY_STUDY = "all"  # the studies of the paper and the fits of its tuning tables, reported together
 PAPER_STUDIES = ("study1", "study2", "study3", "study4", "study5")
 PAPER_FITS = ("phantom1", "phantom2", "phantom3", "chicken")
-MAX_LISTED_NAMES = 40  # names that a message lists, the nearest first
+MAX_LISTED_NAMES = 40  # largest number of names that a message lists, the nearest first
 
 
 @cache
@@ -213,7 +213,7 @@ def _name(kind: FileKind, path: Path) -> str:
     return path.parent.name if kind in ("dataset", "scans") else path.stem
 
 
-LIKE = 0.7  # likeness, 0 to 1, from which a name is proposed
+LIKE = 0.7  # smallest likeness, 0 to 1, of a name that is proposed
 
 
 def unknown_name_error(kind: str, name: str, names: list[str], otherwise: str = ", or a path") -> ConfigError:
@@ -237,7 +237,7 @@ def unknown_name_error(kind: str, name: str, names: list[str], otherwise: str = 
     return ConfigError(problem, expected=f"one of {listed}", fix=fix)
 
 
-MAX_NEAR_NAMES = 8  #: of what is known
+MAX_NEAR_NAMES = 8  #: largest number of existing names that are listed where a name is not found
 
 
 def _list_beside(name: str) -> list[str]:

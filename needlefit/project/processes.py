@@ -26,8 +26,8 @@ THREAD_VARIABLES = (
     "VECLIB_MAXIMUM_THREADS",
 )
 
-_SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of prctl(2)
-_ARENA_MAX = -8  # M_ARENA_MAX of mallopt(3)
+_SET_PARENT_DEATH_SIGNAL = 1  # number of PR_SET_PDEATHSIG, an option of prctl(2)
+_ARENA_MAX = -8  # number of M_ARENA_MAX, a parameter of mallopt(3)
 
 
 def limit_to_one_thread() -> None:

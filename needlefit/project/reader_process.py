@@ -30,12 +30,15 @@ try:
 except ImportError:  # Windows
     resource = None  # type: ignore[assignment]
 
-MEMORY_VARIABLE = "NEEDLEFIT_READ_GIB"  # of the environment: memory that one file may take, GiB
-READER_BYTES = 512 * 2**20  # memory of a reader beside what the content of its file warrants
-BYTES_PER_SECOND = 2**20  # of a file of tables or points: processor time that its size warrants
-READER_SECONDS = 8  # processor time of a reader beside what the size of the content warrants
-WALL_SECONDS = 60  # time in which a reader must be done, beside four times its processor time
-MAX_ANSWER_BYTES = 16 * 2**20  # size of the JSON
+# environment variable: the largest memory (GiB) that reading one file may take
+MEMORY_VARIABLE = "NEEDLEFIT_READ_GIB"
+# largest memory of a reader (bytes), besides what the content of its file warrants
+READER_BYTES = 512 * 2**20
+# size (bytes) of a file of tables or points that warrants one second of processor time
+BYTES_PER_SECOND = 2**20
+READER_SECONDS = 8  # largest processor time of a reader (s), besides what the size of the content warrants
+WALL_SECONDS = 60  # longest time (s) that a reader may take, besides four times its processor time
+MAX_ANSWER_BYTES = 16 * 2**20  # largest size of a reader's answer, as JSON (bytes)
 
 _ONE_THREAD = (*THREAD_VARIABLES, "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS", "MALLOC_ARENA_MAX")  # all 1
 

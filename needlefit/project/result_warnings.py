@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-WARNINGS_KEY = "warnings"  # of `--json`
+WARNINGS_KEY = "warnings"  # key of the warnings in the output of `--json`
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from needlefit.project.processes import count_cores, end_with, limit_to_one_thre
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-STOP_POLL_S = 0.2  # seconds between two questions whether to stop, while tasks run elsewhere
+STOP_POLL_S = 0.2  # time (s) between two checks whether to stop, while tasks run elsewhere
 
 _ENDING_SIGNALS = (
     {signal.SIGTERM, signal.SIGHUP, signal.SIGINT} if sys.platform == "linux" else set[signal.Signals]()

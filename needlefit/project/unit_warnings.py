@@ -14,53 +14,59 @@ from needlefit.project.toml import locate_key
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import NeedleRecord, SceneRecord
 
-LENGTH_TO_DIAMETER = (20.0, 1000.0)  # of a needle, least and most: 60 mm of 3, 200 mm of 0.2
-RIGIDITY_NMM2 = (1.0, 2e6)  # EI, least and most: a nitinol wire of 0.15 mm has 2, a steel rod of 3 mm 800 000
+# length over diameter of a needle, least and most: 60 mm of 3 mm, and 200 mm of 0.2 mm
+LENGTH_TO_DIAMETER = (20.0, 1000.0)
+# EI (N mm2), least and most: a nitinol wire of 0.15 mm has 2, a steel rod of 3 mm 800 000
+RIGIDITY_NMM2 = (1.0, 2e6)
 MODULUS_GPA = (0.5, 1000.0)
 """Young's modulus of a needle: polymers have 1 to 5, nitinol 40 to 80, steel 200, tungsten carbide 700."""
 NO_MODULUS_GPA = (6.0, 10.0)
-"""Between the stiffest polymers and the softest composites: no material of needles."""
+"""Moduli (GPa) between the stiffest polymers and the softest composites: no material of needles has them."""
 MU_PA = (300.0, 1e8)
 """Foundation modulus of a tissue, least and most. Among the softest organs are brain, 842 Pa (Miller and
 Chinzei 2002, J Biomech 35, 483), and fat, a Young's modulus of about 1 kPa, a third of which is mu. The
 stiffest layer of the paper has 33 MPa."""
-MU_UNITS = {"kPa": 1e3, "MPa": 1e6}  # pascals in each
+MU_UNITS = {"kPa": 1e3, "MPa": 1e6}  # pascals in each unit of a modulus
 ALPHA = (0.05, 60.0)
 """Size of an Ogden exponent, least and most: W divides by its square, and at 0 the law is of another form.
 The paper has 0.2 to 1; brain has -4.7 (Miller and Chinzei 2002), fat about 20."""
 OFFSET_TO_SPACING = (1e-3, 2.0)
 """Offset of the cut per mm, least and most: the paper has 0.03 to 0.085; at 2 the tip turns by 63 degrees in
 one. 0 is a needle without a bevel."""
-CUT_ANGLE_DEG = (0.2, 45.0)  # angle of the cut, least and most: an offset of 0.0035 per mm is 0.2 degrees
-ANGLE_UNITS = {"radians": math.degrees(1)}  # degrees in each
+# angle of the cut (degrees), least and most: an offset of 0.0035 per mm is 0.2 degrees
+CUT_ANGLE_DEG = (0.2, 45.0)
+ANGLE_UNITS = {"radians": math.degrees(1)}  # degrees in each unit of an angle
 CUT_ANGLES = (CUT_ANGLE_DEG, ANGLE_UNITS)
 ANGLE_SD_DEG = (0.02, 20.0)
 """Standard deviation of a measured direction, least and most: 0.02 mm over 60 mm are 0.02 degrees."""
 BOUNDARY_TO_DEPTH = 2e-3
-"""Thickness of a layer over the depth of the insertion: a skin of 0.1 mm before 50 mm."""
-BOUNDARIES_TO_DEPTH = 0.1  # depth of the last of several boundaries over that of the deepest insertion
-MIN_DEPTH_MM = 1.0  # least depth (mm) of an insertion: smaller ones are likely in metres
+"""Smallest thickness of the first layer over the depth of the insertion: a skin of 0.1 mm before 50 mm."""
+# smallest depth of the last of several boundaries over that of the deepest insertion
+BOUNDARIES_TO_DEPTH = 0.1
+MIN_DEPTH_MM = 1.0  # smallest depth (mm) of an insertion: a smaller number is likely one in metres
 LENGTH_UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0, "micrometres": 1e-3}
-"""Millimetres in each."""
-MICROMETRES = 1e3  # in a millimetre
+"""Millimetres in each unit of length."""
+MICROMETRES = 1e3  # number of micrometres in a millimetre
 
 MODULUS_UNITS = {"Pa": 1e-9, "MPa": 1e-3, "kPa": 1e-6, "psi": 6.894757e-6}
 """Gigapascals in each."""
 
-DIAMETER_MM = (0.15, 5.0)  # outer diameter of a needle, least and most: 34 gauge has 0.18, 10 gauge 3.4
-MIN_INNER_DIAMETER_MM = 0.05  # inner diameter of a tube: 34 gauge has 0.08
-MAX_INNER_TO_OUTER = 0.94  # diameters of a tube; ultra-thin walls have 0.84
+DIAMETER_MM = (0.15, 5.0)  # outer diameter of a needle (mm), least and most: 34 gauge has 0.18, 10 gauge 3.4
+MIN_INNER_DIAMETER_MM = 0.05  # smallest inner diameter of a tube (mm): 34 gauge has 0.08
+MAX_INNER_TO_OUTER = 0.94  # largest inner diameter of a tube over its outer one; ultra-thin walls have 0.84
 
 GAUGES_MM = {
     **{10: 3.404, 11: 3.048, 12: 2.769, 13: 2.413, 14: 2.108, 15: 1.829, 16: 1.651, 17: 1.473, 18: 1.270},
     **{19: 1.067, 20: 0.908, 21: 0.819, 22: 0.718, 23: 0.642, 24: 0.566, 25: 0.515, 26: 0.464, 27: 0.413},
     **{28: 0.362, 29: 0.337, 30: 0.312, 31: 0.261, 32: 0.235, 33: 0.210, 34: 0.184},
 }
-"""Outer diameters of needles by their gauge."""
+"""Outer diameters of needles (mm) by their gauge."""
 ROUNDED_MM = 1.5e-3
-"""By less, twice a radius that was rounded differs from the diameter of its gauge."""
+"""Difference (mm) from the diameter of a gauge below which twice a number is that diameter: the number is a
+rounded radius."""
 
-FITTED_RANGE = (0.5, 1.2)  # times the least and the greatest fitted depth, within which predictions lie
+# factors on the least and on the greatest fitted depth, between which no prediction is doubted
+FITTED_RANGE = (0.5, 1.2)
 
 FormatPlace = Callable[[str], str]  # the key of a value -> file and key
 Doubt = tuple[str, str, str]  # a key, what is hard to believe about it, and what to do
