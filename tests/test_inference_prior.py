@@ -48,9 +48,10 @@ def test_the_residuals_of_a_set_do_not_depend_on_those_beside_it(count):
     [
         ({"mean": 0.1, "sd": 0.05}, stats.gamma(4.0, scale=0.025)),
         ({"sd": 0.2}, stats.halfnorm(scale=0.2)),
+        ("uniform", stats.uniform(scale=10.0)),
     ],
 )
-def test_a_positive_parameter_has_a_gamma_or_half_normal_prior(stated, distribution):
+def test_a_positive_parameter_has_a_gamma_half_normal_or_uniform_prior(stated, distribution):
     """Of ln b, whose density is that of b times b; the residuals' slopes are differences of them."""
     parameters = Parameters.from_record(
         medium(1, bevel_mm={"bounds": [1e-6, 10.0], "prior": stated}, mu1_pa={"fixed": 1e5})

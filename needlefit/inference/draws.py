@@ -75,14 +75,14 @@ def rms_noise_scale(draws: Draws, parameters: Parameters, stated: float | str) -
 def draw_from_prior(parameters: Parameters, count: int, rng: np.random.Generator) -> Floats:
     """Return `count` draws (B, P) of the prior: flat within the bounds, times what is stated."""
     lower, upper, names = parameters.lower, parameters.upper, parameters.free
-    gamma = {names.index(row.name): row for row in parameters.prior.gamma if row.name in names}
+    positive = {names.index(row.name): row for row in parameters.prior.positive if row.name in names}
     slopes = parameters.prior.linear_slopes(names)  # (R, P)
     rows = np.flatnonzero(slopes.any(axis=1))  # without ties of what is fixed
     off = parameters.prior.residuals([parameters.values(0.5 * (lower + upper))])[0, rows]
     slopes = slopes[rows]
     # the linear residuals are off + slopes @ (theta - middle): each is solved for one coordinate, while the
-    # others are drawn flat, or from their gamma prior
-    linear = np.array([k for k in range(len(names)) if k not in gamma], dtype=int)
+    # others are drawn flat, or from the priors of each alone
+    linear = np.array([k for k in range(len(names)) if k not in positive], dtype=int)
     solved = linear[scipy.linalg.qr(slopes[:, linear], mode="r", pivoting=True)[-1][: len(rows)]]
     others = np.setdiff1d(np.arange(len(names)), solved)
     inverse = np.linalg.inv(slopes[:, solved])
@@ -90,7 +90,7 @@ def draw_from_prior(parameters: Parameters, count: int, rng: np.random.Generator
     while len(drawn) < count:
         away = rng.uniform(-0.5, 0.5, size=(count, len(lower))) * (upper - lower)
         normal = rng.standard_normal((count, len(rows)))
-        for column, row in gamma.items():
+        for column, row in positive.items():
             away[:, column] = row.draw(count, rng) - 0.5 * (lower + upper)[column]
         away[:, solved] = (normal - off - away[:, others] @ slopes[:, others].T) @ inverse.T
         thetas = 0.5 * (lower + upper) + away

@@ -307,7 +307,9 @@ def with_bevel_spread(parameters: Parameters, sd: float) -> Parameters:
         parameters,
         names=(*parameters.names, BEVEL_SPREAD),
         bounds={**parameters.bounds, BEVEL_SPREAD: (low * sd, high * sd)},
-        prior=replace(parameters.prior, gamma=(*parameters.prior.gamma, make_half_normal(BEVEL_SPREAD, sd))),
+        prior=replace(
+            parameters.prior, positive=(*parameters.prior.positive, make_half_normal(BEVEL_SPREAD, sd))
+        ),
     )
 
 
@@ -457,10 +459,12 @@ def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
 
 def _has_own_prior(name: str, table: Mapping[str, ParameterRecord]) -> bool:
     """Return whether a shape parameter has a normal prior that no modulus is correlated with."""
-    if not is_shape_parameter(name) or table[name].prior is None:
+    if not is_shape_parameter(name) or not isinstance(table[name].prior, PriorRecord):
         return False
-    priors = {other: record.prior for other, record in table.items() if dimension(other) == "modulus"}
-    return all(prior is None or not prior.correlation or alpha_of(mu) != name for mu, prior in priors.items())
+    moduli = {
+        alpha_of(other): record.prior for other, record in table.items() if dimension(other) == "modulus"
+    }
+    return not (isinstance(prior := moduli.get(name), PriorRecord) and prior.correlation)
 
 
 def state_usual_bounds(record: MediumRecord) -> dict[str, ParameterRecord]:

@@ -2,7 +2,7 @@
 
 The logarithm of its density is minus half the sum of the squares of the residuals, but for a constant. Linear
 rows are normal priors of shape parameters, log-normal ones of moduli and lengths, and ties with a spread. The
-others are generalised gamma priors of one positive parameter, a gamma and a half-normal one among them.
+others are of one positive parameter each: generalised gamma (gamma and half-normal ones), or uniform.
 """
 
 import math
@@ -72,12 +72,35 @@ class GammaRow:
         return math.log(self.mode) + np.log(drawn) / self.power
 
 
+@dataclass(frozen=True)
+class UniformRow:
+    """A prior that is flat in a positive parameter itself up to its upper bound, in its logarithm."""
+
+    name: str
+    mode: float  #: the upper bound
+    information = 1.0  #: one over the variance of the logarithm
+    sd = 1.0  #: standard deviation of the logarithm
+
+    def residuals(self, values: Floats | float) -> Floats:
+        """Return the residuals (2, ...), of which the first is 0, as of `GammaRow`."""
+        exponent = np.log(np.asarray(values) / self.mode)
+        return np.stack([np.zeros_like(exponent), np.sqrt(2 * (MAX_EXPONENT - exponent))])
+
+    def slopes(self, value: float) -> tuple[float, float]:
+        """Return the derivatives of `residuals` by the logarithm of the value."""
+        return 0.0, float(-1 / self.residuals(value)[1])
+
+    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+        """Return draws (N,) of the logarithm."""
+        return math.log(self.mode) - rng.exponential(size=count)
+
+
 MAX_EXPONENT = 40.0  #: logarithm of a value over its mode, beyond any bounds
 
 
 @dataclass(frozen=True)
 class Prior:
-    """A prior of some parameters, in their coordinates of theta: linear rows, then gamma rows."""
+    """A prior of some parameters, in coordinates of theta: linear rows, then those of one parameter each."""
 
     names: tuple[str, ...] = ()  #: q of them, of the linear rows
     #: (R, Q) what takes logarithms, and shape parameters themselves, to independent numbers of unit variance;
@@ -85,12 +108,12 @@ class Prior:
     whitening: tuple[tuple[float, ...], ...] = ()
     centre: tuple[float, ...] = ()  #: (R,) their means
     ties: tuple[SoftTie, ...] = ()  #: those among it, for print
-    gamma: tuple[GammaRow, ...] = ()
+    positive: tuple[GammaRow | UniformRow, ...] = ()
 
     @property
     def stated_names(self) -> frozenset[str]:
         """The parameters of which anything is stated."""
-        return frozenset(self.names) | {row.name for row in self.gamma}
+        return frozenset(self.names) | {row.name for row in self.positive}
 
     def residuals(self, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Return the residuals (B, R + 2 G) of sets of values (Pa, mm)."""
@@ -99,11 +122,11 @@ class Prior:
         # a product for each set: one of all rounds a set by how many stand beside it
         products = [self._weights @ place for place in np.reshape(coordinates, (-1, len(sets))).T]
         linear = np.reshape(products, (len(sets), len(self.whitening))) - np.array(self.centre)
-        return np.vstack([linear.T, *(row.residuals(table[row.name]) for row in self.gamma)]).T
+        return np.vstack([linear.T, *(row.residuals(table[row.name]) for row in self.positive)]).T
 
     def log_density(self, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Return the logarithm of the density (B,) of sets of values, not normalised: 0 at its peak."""
-        peak = sum(np.sum(row.residuals(row.mode) ** 2) for row in self.gamma)
+        peak = sum(np.sum(row.residuals(row.mode) ** 2) for row in self.positive)
         return 0.5 * (peak - np.sum(self.residuals(sets) ** 2, axis=1))
 
     def log_marginals(self, names: Sequence[str], thetas: Floats) -> Floats:
@@ -111,7 +134,7 @@ class Prior:
 
         Not normalised; 0 where nothing is stated.
         """
-        rows, total = {row.name: row for row in self.gamma}, np.zeros(len(thetas))
+        rows, total = {row.name: row for row in self.positive}, np.zeros(len(thetas))
         for name, places in zip(names, thetas.T, strict=True):
             if name in rows:
                 total -= 0.5 * np.sum(rows[name].residuals(np.exp(places)) ** 2, axis=0)
@@ -131,16 +154,16 @@ class Prior:
 
     def slopes(self, names: Sequence[str], values: Mapping[str, float]) -> Floats:
         """Return the derivatives (R + 2 G, P) of `residuals` by theta of the free parameters `names`."""
-        chosen = _select([row.name for row in self.gamma], names)
-        gamma = [np.outer(row.slopes(values[row.name]), chosen[k]) for k, row in enumerate(self.gamma)]
-        return np.concatenate([self.linear_slopes(names), *gamma])
+        chosen = _select([row.name for row in self.positive], names)
+        positive = [np.outer(row.slopes(values[row.name]), chosen[k]) for k, row in enumerate(self.positive)]
+        return np.concatenate([self.linear_slopes(names), *positive])
 
     def information(self, names: Sequence[str]) -> Floats:
         """Return the precision (P, P), at the peak, of theta of `names`; 0 where nothing is stated."""
         linear = self.linear_slopes(names)
-        gamma = np.array([row.information for row in self.gamma])
-        gamma = gamma @ _select([row.name for row in self.gamma], names)
-        return linear.T @ linear + np.diag(gamma)
+        positive = np.array([row.information for row in self.positive])
+        positive = positive @ _select([row.name for row in self.positive], names)
+        return linear.T @ linear + np.diag(positive)
 
     @cached_property
     def marginals(self) -> Mapping[str, tuple[float, float]]:
@@ -153,7 +176,7 @@ class Prior:
         linear = {
             name: (float(mean[k]), float(sd[k])) for k, name in enumerate(self.names) if is_independent[k]
         }
-        return linear | {row.name: (math.log(row.mode), row.sd) for row in self.gamma}
+        return linear | {row.name: (math.log(row.mode), row.sd) for row in self.positive}
 
     def sd(self, name: str) -> float:
         """Return the standard deviation of one parameter's coordinate; infinite where nothing is stated."""
@@ -165,13 +188,15 @@ class Prior:
         rows = [k for k, row in enumerate(self.whitening) if any(row[column] for column in columns)]
         whitening = tuple(tuple(self.whitening[k][column] for column in columns) for k in rows)
         kept, centre = tuple(self.names[k] for k in columns), tuple(self.centre[k] for k in rows)
-        gamma = tuple(row for row in self.gamma if row.name not in names)
-        return Prior(kept, whitening, centre, self.ties, gamma)
+        positive = tuple(row for row in self.positive if row.name not in names)
+        return Prior(kept, whitening, centre, self.ties, positive)
 
     def without_ties(self) -> "Prior":
         """Return the prior without its ties, which `add_ties` put last."""
         kept = len(self.centre) - len(self.ties)
-        return Prior(self.names if kept else (), self.whitening[:kept], self.centre[:kept], gamma=self.gamma)
+        return Prior(
+            self.names if kept else (), self.whitening[:kept], self.centre[:kept], positive=self.positive
+        )
 
 
 def _select(stated: Sequence[str], names: Sequence[str]) -> Floats:
@@ -189,7 +214,7 @@ def add_ties(prior: Prior, ties: Sequence[SoftTie]) -> Prior:
         weights = {tie.name: 1 / math.log(tie.spread), tie.source: -1 / math.log(tie.spread)}
         rows.append(tuple(weights.get(name, 0.0) for name in names))
     centre = (*prior.centre, *(math.log(tie.factor) / math.log(tie.spread) for tie in ties))
-    return Prior(names, tuple(rows), centre, tuple(ties), prior.gamma)
+    return Prior(names, tuple(rows), centre, tuple(ties), prior.positive)
 
 
 def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = ()) -> Prior:
@@ -198,7 +223,7 @@ def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = (
     Raises ConfigError if a prior is of the wrong kind, peaks outside the bounds, or its correlation has no
     partner.
     """
-    stated = {name: record.prior for name, record in table.items() if record.prior is not None}
+    stated = {name: record.prior for name, record in table.items() if isinstance(record.prior, PriorRecord)}
     for name, stated_prior in stated.items():
         bounds = table[name].bounds
         refused = partial(ConfigError, key=f"parameters.{name}.prior")
@@ -214,8 +239,8 @@ def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = (
         ):
             expected = "a log-normal prior of mu whose layer's alpha has a prior too"
             raise refused("states a correlation that has no partner", expected=expected)
-    gamma = tuple(_make_gamma_row(name, record) for name, record in stated.items() if _is_gamma(name, record))
-    linear = {name: record for name, record in stated.items() if not _is_gamma(name, record)}
+    rows = {name: row for name, record in table.items() if (row := _make_row(name, record)) is not None}
+    linear = {name: record for name, record in stated.items() if name not in rows}
     names = tuple(linear)
     sds = [
         record.sd if record.sd is not None else math.log(record.factor or math.nan)
@@ -228,8 +253,9 @@ def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = (
             correlations[j, k] = correlations[k, j] = stated_prior.correlation
     peaks = np.array([to_coordinate(name, _peak(record)) for name, record in linear.items()])
     whitening = np.linalg.inv(np.linalg.cholesky(correlations * np.outer(sds, sds)))
-    rows = tuple(tuple(row) for row in whitening.tolist())
-    return add_ties(Prior(names, rows, tuple((whitening @ peaks).tolist()), gamma=gamma), ties)
+    weights = tuple(map(tuple, whitening.tolist()))
+    prior = Prior(names, weights, tuple((whitening @ peaks).tolist()), positive=tuple(rows.values()))
+    return add_ties(prior, ties)
 
 
 def make_half_normal(name: str, sd: float) -> GammaRow:
@@ -237,12 +263,16 @@ def make_half_normal(name: str, sd: float) -> GammaRow:
     return GammaRow(name, sd, shape=1.0, power=2.0)
 
 
-def _is_gamma(name: str, record: PriorRecord) -> bool:
-    return record.factor is None and not is_shape_parameter(name)
-
-
-def _make_gamma_row(name: str, record: PriorRecord) -> GammaRow:
-    """Return the gamma prior of a stated mean and standard deviation; without a mean the half-normal one."""
+def _make_row(name: str, parameter: ParameterRecord) -> GammaRow | UniformRow | None:
+    """Return the prior that is stated of a positive parameter, unless it is log-normal; else None."""
+    record = parameter.prior
+    if record is None or is_shape_parameter(name):  # which is flat where a uniform prior is stated
+        return None
+    if record == "uniform":
+        assert parameter.bounds is not None
+        return UniformRow(name, parameter.bounds[1])
+    if record.factor is not None:
+        return None
     sd = record.sd or math.nan
     return (
         GammaRow(name, record.mean, (record.mean / sd) ** 2, 1.0)

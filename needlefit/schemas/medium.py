@@ -1,7 +1,7 @@
 """A medium: its layers, which of their parameters are free, their bounds and their priors."""
 
 import re
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -65,10 +65,10 @@ class ParameterRecord(Record):
     spread: float | None = Field(default=None, ge=1, le=100)
     """Factor, at one standard deviation, by which a tied modulus or length may differ; 1 is an exact
     tie. Without it 1.2 for a modulus that is tied to another one without a factor, else 1."""
-    prior: PriorRecord | None = None
+    prior: PriorRecord | Literal["uniform"] | None = None
     """Prior of a free parameter; without one it is flat within the bounds (of the logarithm, except for
-    shape parameters). A shape parameter with a prior is searched where it moves measured points, else
-    drawn from its prior (docs/fitting.md)."""
+    shape parameters), by "uniform" flat in the parameter itself. A shape parameter with a prior is searched
+    where it moves measured points, else drawn from its prior (docs/fitting.md)."""
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
