@@ -151,6 +151,16 @@ def test_a_first_material_unlike_tissue_may_be_a_guide_that_lies_on_it(level, is
     assert behind.doubt is None  # it changes by 50 HU or more there
 
 
+@pytest.mark.parametrize("film", [0.0, 0.03])
+def test_the_end_of_a_guide_that_is_not_stated_is_as_uncertain_as_a_film_of_air_leaves_it(film):
+    edges = (-6.0, -1000.0, 120.0), (-film, 120.0, -1000.0), (0.0, -1000.0, 20.0)
+    for shift in np.linspace(0.0, 0.5, 5):
+        shown = profile(*((at + shift, *levels) for at, *levels in edges), width=0.4)
+        entry, behind = choose(shown).answers
+        assert_allclose([entry.at, behind.guide[0]], shift - 6.0, atol=0.1)
+        assert abs(behind.at - shift) < 3 * behind.sd and 0.15 < behind.sd < 0.2
+
+
 @pytest.mark.parametrize("dip", [0.0, -800.0])
 @pytest.mark.parametrize("level", [360.0, 900.0])
 def test_a_plate_on_the_tissue_ends_after_its_thickness_and_what_is_stated_of_the_gap(level, dip):

@@ -206,7 +206,10 @@ def choose_entry(
         if not doubt:
             return offered
         first = next(((one, run) for one in faces for run in soft if run.begin <= one.at < run.end), None)
-        behind = [] if first is None else [_pass_guide(first[0], first[1].end - first[0].at, 0.0)]
+        behind = []
+        if first is not None:  # a film of air that does not show moves the step where a guide ends
+            length = first[1].end - first[0].at
+            behind = [_pass_guide(first[0], length, 0.0, MM.HIDDEN_FACE_SD)]
         others = [*faces, *behind, *metal]
         expected = "soft tissue ({:g} to {:g} HU) behind air".format(*HU.SOFT_TISSUE)
         fix = "state guide.thickness_mm in the recipe (mm; 0: there is no guide, and the first is the tissue)"
@@ -297,10 +300,12 @@ def _choose_face(faces: Sequence[EntryCandidate], soft: Sequence[MaterialRun]) -
     return faces[0], f"the needle first enters {material}, which may be a guide"
 
 
-def _pass_guide(face: EntryCandidate, thickness: float, distance: float) -> EntryCandidate:
-    """Return the place behind a guide that begins at `face`."""
+def _pass_guide(
+    face: EntryCandidate, thickness: float, distance: float, end_sd: float = MM.MODEL_SD
+) -> EntryCandidate:
+    """Return the place behind a guide that begins at `face`; `end_sd`: deviation of where it ends, mm."""
     end = face.at + thickness
-    return EntryCandidate(end + distance, float(np.hypot(face.sd, MM.MODEL_SD)), (face.at, end))
+    return EntryCandidate(end + distance, float(np.hypot(face.sd, end_sd)), (face.at, end))
 
 
 def _doubt_guide_end(
