@@ -36,13 +36,14 @@ WRITTEN = (  # names of the files of an import
     *("insertions.csv", TRACKS_FILE, TURNS_FILE, CURVATURE_FILE, "centerlines/*.csv", "layers/*.stl"),
 )
 
-MAX_LABELLED_NEEDLES = 14  # more names would cover each other
-MAX_NAME_CHARS = 14  # of a name beside a needle
+# largest number of needles of a drawing that are named: more names would cover each other
+MAX_LABELLED_NEEDLES = 14
+MAX_NAME_CHARS = 14  # largest number of characters of a name beside a needle
 AWAY_COLOUR = "#b3261e"
-MAX_DRAWN_TRIANGLES = 20_000
+MAX_DRAWN_TRIANGLES = 20_000  # largest number of triangles of a surface that are drawn
 MAX_SHOWN_CELLS = 4  # number of cells of a row in a table
 MAX_FIRST_VALUES = 3  # number of values of a column in a table
-MAX_LISTED_UNUSED = 6  # columns or rows of one file that a line lists
+MAX_LISTED_UNUSED = 6  # largest number of columns, or of rows, of one file that a line lists
 
 _SURFACE_COLOURS = ("#c8b88a", "#a9b7c6", "#c9a3a3", "#a8bfa3")
 

@@ -104,7 +104,8 @@ def table(display: TableLayout) -> Block:
     return {"kind": "table", **asdict(display)}
 
 
-MAX_HALF_WIDTH_PT = 254.0  # points: figures up to one column of a paper, 3.5 in, are half as wide as a page
+# largest width (points) of a figure of which two stand side by side: one column of a paper, 3.5 in
+MAX_HALF_WIDTH_PT = 254.0
 _MEDIA_BOX = re.compile(rb"/MediaBox\s*\[\s*0\s+0\s+([0-9.]+)")
 
 
@@ -220,7 +221,8 @@ def compile_html(document: Document) -> bytes:
     return _render_html("report.html", document).encode("utf-8")
 
 
-OPEN_TABLES = 3  # of the part of a page for a notebook; the tables after these unfold
+# number of tables of a page's part for a notebook that are open; the tables after these unfold
+OPEN_TABLES = 3
 
 
 def format_html_part(document: Document) -> str:

@@ -14,9 +14,10 @@ from typing import Literal
 
 import typst
 
-FAMILY = "DejaVu Sans"  # of figures
-_CATEGORIES = "LMN"  # of Unicode: letters, their marks, digits; signs are the package's own
-_FIRST_LACKING = "\u0590"  # Latin, Greek, Cyrillic and Armenian letters stand before
+FAMILY = "DejaVu Sans"  # family of fonts of figures
+_CATEGORIES = "LMN"  # categories of Unicode: letters, their marks, digits; signs are the package's own
+# first letter that the font may lack: Latin, Greek, Cyrillic and Armenian letters stand before
+_FIRST_LACKING = "\u0590"
 
 
 def find_lacking(text: str) -> frozenset[str]:
@@ -89,7 +90,7 @@ def _read_letters(font: Path) -> frozenset[int]:
 PLAIN_SHEET = (
     '#set document(date: none)\n#set page(width: auto, height: auto, margin: 0pt)\n#image("{name}")\n'
 )
-"""The drawing alone."""
+"""Typst template of a sheet with the drawing alone."""
 
 
 def compile_sheet(

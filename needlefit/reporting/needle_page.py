@@ -186,7 +186,8 @@ def choose_evenly(count: int, most: int) -> Ints:
     return np.linspace(0, count - 1, min(most, count)).astype(np.intp)
 
 
-#: needles of a band, evenly chosen from all draws: it is computed again whenever the needle moves
+#: largest number of needles of a band, evenly chosen from all draws: it is computed again whenever the needle
+#: moves
 MAX_BAND_DRAWS = 100
 
 
@@ -270,7 +271,7 @@ def encode_model(scene: Scene, first_cell: float, changes: Sequence[Any]) -> dic
     }  # fmt: skip
 
 
-#: how far beyond the softest and the stiffest layer the sliders of all moduli reach, a factor
+#: factor by which the sliders of all moduli reach beyond the softest and the stiffest layer
 SLIDER_FACTOR = 100.0
 
 

@@ -9,7 +9,7 @@ from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.mechanics.laws import list_shape_parameters
 from needlefit.metrics import METRICS, TE, Metric
 
-MISSING = "–"
+MISSING = "–"  # sign in place of a missing value
 _PARAMETER_PATTERN = re.compile(
     r"\b(?:mu\d+(?:_pa)?|[a-z_]+[1-9]\d*|bevel_mm|cut_angle_deg|guide_distance_mm|bevel_spread)\b"
 )
@@ -120,7 +120,7 @@ def format_error(value: float, metric: str = TE.name) -> str:
     return f"{format_metric(error_metric, value, 3 if value < 0.1 else 2)} {error_metric.unit}"
 
 
-NO_BREAK = "\u00a0"  #: the space at which no line is broken
+NO_BREAK = "\u00a0"  #: no-break space, at which no line is broken
 _UNITS = "mm²|mm|1/m|cm|%|kPa|MPa|GPa|Pa|N|HU|°|degrees|SD|nats|times"
 _BOUND_PATTERN = re.compile(rf"(?<=[\d⁰¹²³⁴⁵⁶⁷⁸⁹]) (?=(?:{_UNITS})(?!\w)|[±×] \d)|(?<=[±×]) (?=\d)")
 

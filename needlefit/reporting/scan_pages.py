@@ -27,7 +27,7 @@ from needlefit.schemas.origin import ORIGIN_MARKS
 
 Fact = tuple[str, str]
 
-MAX_LISTED_WARNINGS = 10  # number of warnings on a page; the table of the batch has all of them
+MAX_LISTED_WARNINGS = 10  # largest number of warnings on a page; the table of the batch has all of them
 _CAPTION = (
     "The scan in slabs that follow the needle (crosses: markers nearby); below, its deflection and the "
     "brightness around it (shaded: air, soft, metal; yellow: guide). Lines: entry, layers, tip. Bands: "
@@ -94,19 +94,17 @@ def _write_page(
 Span = tuple[float, float]
 Mark = tuple[float, float, str, str]  # place along x and its deviation, mm; colour and name
 
-# Of the figure, mm.
-NEEDLE_SECTION_WIDTH_MM = 180.0
-NEEDLE_SECTION_HEIGHT_MM = 175.0
+NEEDLE_SECTION_WIDTH_MM = 180.0  # width of the figure (mm)
+NEEDLE_SECTION_HEIGHT_MM = 175.0  # height of the figure (mm)
 OUT_OF_PLANE_COLOUR = "#D55E00"
-# mm around the panels
-_LEFT_MM = 17.0
-_RIGHT_MM = 1.0
-_TOP_MM = 4.0
-_BOTTOM_MM = 11.0
-_PANEL_GAP_MM = 2.5  # and between them
+_LEFT_MM = 17.0  # margin left of the panels (mm)
+_RIGHT_MM = 1.0  # margin right of the panels (mm)
+_TOP_MM = 4.0  # margin above the panels (mm)
+_BOTTOM_MM = 11.0  # margin below the panels (mm)
+_PANEL_GAP_MM = 2.5  # gap between panels (mm)
 _MATERIAL_COLOURS = {"air": "#dfe7ef", "soft": "#f3dcc3", "metal": "#5b6470"}
 GUIDE_COLOUR = "#F0E442"
-_PLOT_HEIGHT_MM = 30.0  # of deflection, and of brightness, mm
+_PLOT_HEIGHT_MM = 30.0  # height (mm) of the plots of deflection and of brightness
 
 
 def paint_needle_section(reconstruction: Reconstruction) -> Figure:
@@ -270,10 +268,10 @@ LAYER_COLOUR = "#56B4E9"
 TIP_COLOUR = "#C8102E"
 MARKER_COLOUR = "#009E73"
 
-_MAX_SHEET_DISTANCE_MM = 3.0  # mm: a marker's centre may lie so far from the slab that it is drawn over
-_OUTLINE_STEP_MM = 0.6  # mm between the dots of a layer's outline
-_MIN_WINDOW_HU = 250.0  # HU
-_OUTSIDE_COLOUR = "#e6ecf2"  # of the volume: no grey of the scan
+_MAX_SHEET_DISTANCE_MM = 3.0  # largest distance (mm) of a marker's centre from a slab over which it is drawn
+_OUTLINE_STEP_MM = 0.6  # distance (mm) between the dots of a layer's outline
+_MIN_WINDOW_HU = 250.0  # smallest width (HU) of the range of tissue that is shown in contrast
+_OUTSIDE_COLOUR = "#e6ecf2"  # colour outside of the volume: no grey of the scan
 
 
 def show_slab(axes: Axes, view: ScanView, views: Sequence[ScanView], span: tuple[float, float]) -> None:

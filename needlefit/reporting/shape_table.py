@@ -14,7 +14,7 @@ from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import compute_lateral_load
 
 _WORLD_COLUMNS = ("world_x_mm", "world_y_mm", "world_z_mm")
-_MIN_STATION_DISTANCE_MM = 1e-6  # mm: a node so near a whole millimetre stands for it
+_MIN_STATION_DISTANCE_MM = 1e-6  # largest distance (mm) from a whole millimetre of a node that stands for it
 
 
 def tabulate_shape(scene: Scene, shape: NeedleShape, placement: Placement | None = None) -> pd.DataFrame:

@@ -23,8 +23,8 @@ from needlefit.schemas.origin import ORIGIN_MARKS
 if TYPE_CHECKING:
     from needlefit.imaging.reconstruction import Reconstruction
 
-LINE_WIDTH_MM, THIN_LINE_WIDTH_MM = 0.6, 0.3  # lines of needles and of the edges of bands, mm
-# Points of a simulated needle before its entry into the tissue, and from there on.
+LINE_WIDTH_MM, THIN_LINE_WIDTH_MM = 0.6, 0.3  # widths of lines (mm): of needles, and of the edges of bands
+# number of points of a simulated needle before its entry into the tissue, and from there on
 POINTS_BEFORE_ENTRY, POINTS_INSERTED = 25, 51
 _FITTED_COLOUR = METHOD_COLOURS["fitted"]
 
@@ -108,7 +108,7 @@ def _arc_labels(s: Floats, begins: str = "entry") -> tuple[str, ...]:
     return tuple(named.get(n, f"{distance:.1f} mm") for n, distance in enumerate(s))
 
 
-POINT_SIZE_MM = 1.5  # points, mm
+POINT_SIZE_MM = 1.5  # size of points in 3D Slicer (mm)
 
 
 def write_scan(reconstruction: "Reconstruction", folder: Path) -> None:

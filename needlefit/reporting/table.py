@@ -64,11 +64,11 @@ FORMATS: Mapping[str, Callable[[Any], str]] = {
 TEXT_FORMATS = ("text", "prose", "flag", "medium", "method", "metric", "symbol")
 """Of columns that stand at the left; "prose" takes the remaining width."""
 
-# Of values in the unit of the metric that the row names.
+# name of the format of values in the unit of the metric that the row names
 METRIC_FORMAT = "error"
-METRIC_UNIT = "{metric}"
-LENGTH_ERROR_FORMAT = "error_mm"  # of metrics that are lengths
-DIGITS = "digits"  # key of a row's decimals of errors that are lengths; two without it
+METRIC_UNIT = "{metric}"  # unit of these values
+LENGTH_ERROR_FORMAT = "error_mm"  # name of the format of metrics that are lengths
+DIGITS = "digits"  # key of a row: decimals of its errors that are lengths; two without it
 _NO_ROW: Mapping[str, Any] = MappingProxyType({})
 _OPTIONAL_PATTERN = re.compile(r"\[([^]]*)\]")
 _VALUE_PATTERN = re.compile(r"\{(\w+):(\w+)\}")
@@ -391,10 +391,11 @@ def format_latex(table: TableLayout, origin_mark: str) -> str:
 
 
 MAX_COLUMN_LETTERS = 58
-"""Characters of a row, gaps included, that fit one column of a two-column paper; wider tables span both."""
+"""Largest number of characters of a row, with gaps, in one column of a two-column paper; wider tables span
+both."""
 
-_GAP_LETTERS = 2  # characters between two columns
-_WIDE_COLUMN_LETTERS = 35  # characters of a column of text that is broken into lines
+_GAP_LETTERS = 2  # number of characters between two columns
+_WIDE_COLUMN_LETTERS = 35  # width (characters) of a column of text that is broken into lines
 
 
 def _count_letters(table: TableLayout) -> int:

@@ -45,7 +45,7 @@ from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, PAPER_COLOUR, 
 from needlefit.reporting.number_format import choose_interval_unit, format_number, typeset, typeset_interval
 from needlefit.reporting.table_files import Row, select_rows, to_records
 
-MAX_NAMED_SERIES = 8  # more series than these are not named one by one
+MAX_NAMED_SERIES = 8  # largest number of series that a legend names
 
 
 def choose_looks(frame: pd.DataFrame, by: str, looks: Mapping[str, Look] | None = None) -> dict[str, Look]:
@@ -306,11 +306,12 @@ def predictive_check(rows: pd.DataFrame) -> Figure:
 
 # ---- profile likelihoods
 
-MAX_PANEL_COLUMNS = 4  # as many as a page is wide for; half as many in a column
-MAX_TICKS = 4  # of an axis of so narrow a panel
+# largest number of panels in a row, as a page is wide; a column of a paper has half as many
+MAX_PANEL_COLUMNS = 4
+MAX_TICKS = 4  # largest number of labelled ticks on a logarithmic axis of so narrow a panel
 """Greatest number of panels in a row, and of labelled ticks on a logarithmic axis."""
 
-MAX_DEVIANCE = 6.5  # upper end of the panels' deviance axis
+MAX_DEVIANCE = 6.5  # upper end of the panels' axis of deviance
 
 
 def profiles(frame: pd.DataFrame) -> Figure:

@@ -27,9 +27,11 @@ from needlefit.reporting.fonts import FAMILY, compile_sheet, find_fonts, find_la
 from needlefit.reporting.labels import ALARM_COLOUR, GREY, INK
 from needlefit.reporting.table_files import write_csv
 
-TEXT_WIDTH_IN = 7.16  # inches: the text width of the report, and of both columns of a paper together (IEEE)
-COLUMN_WIDTH_IN = 3.5  # inches: one column of a paper; two such figures stand side by side in the report
-FONT_SIZE_PT = 8.0  # points: letters of figures at the size in which they are printed
+# width (inches) of the text of the report, and of both columns of a paper together (IEEE)
+TEXT_WIDTH_IN = 7.16
+# width (inches) of one column of a paper; two such figures stand side by side in the report
+COLUMN_WIDTH_IN = 3.5
+FONT_SIZE_PT = 8.0  # size (points) of letters in figures as they are printed
 _fixed_width: ContextVar[float | None] = ContextVar("fixed width of figures", default=None)
 
 
@@ -48,10 +50,10 @@ def choose_width(natural: float = TEXT_WIDTH_IN) -> float:
     return _fixed_width.get() or natural
 
 
-_VERTICAL_SCALES = (1, 2, 5, 10, 20, 50, 100)
+_VERTICAL_SCALES = (1, 2, 5, 10, 20, 50, 100)  # factors by which heights are exaggerated over lengths
 _METADATA: dict[str, dict[str, None]] = {".svg": {"Date": None}, ".png": {"Software": None}}
 _CANVASES = {".svg": FigureCanvasSVG, ".png": FigureCanvasAgg}
-_SAVED_DPI = 300  # as journals ask for
+_SAVED_DPI = 300  # resolution (dots per inch) of saved figures, as journals ask for
 RC_PARAMS = {
     "font.family": FAMILY,
     "font.size": FONT_SIZE_PT,
@@ -144,14 +146,13 @@ def save_figure(figure: Figure, suffix: str) -> bytes:
     return drawing.getvalue()
 
 
-# Inches.
-LETTER_WIDTH_IN = 0.055  # of a legend's letters
-_HANDLE_WIDTH_IN = 0.3  # of a mark and its gaps
-_LEGEND_LINE_IN = 0.16  # height of a legend's line
-TITLE_IN = 0.19  # height of a title
-TICKS_IN = 0.2  # of the numbers at an axis
-LABEL_IN = 0.16  # of an axis' label
-GAP_IN = 0.12  # between panels, and at edges
+LETTER_WIDTH_IN = 0.055  # width (inches) of a letter in a legend
+_HANDLE_WIDTH_IN = 0.3  # width (inches) of a mark in a legend, with its gaps
+_LEGEND_LINE_IN = 0.16  # height (inches) of a legend's line
+TITLE_IN = 0.19  # height (inches) of a title
+TICKS_IN = 0.2  # height (inches) of the numbers at an axis
+LABEL_IN = 0.16  # height (inches) of an axis' label
+GAP_IN = 0.12  # gap (inches) between panels, and at edges
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist], most: int) -> float:
@@ -212,10 +213,10 @@ def draw_grid(axes: Axes) -> None:
     axes.grid(axis="y", color=GREY, alpha=0.25, linewidth=0.4)
 
 
-MM_PER_INCH = 25.4
+MM_PER_INCH = 25.4  # millimetres in an inch
 
-LETTER_WIDTH_MM = 1.3  # mm on paper, of a letter of 7 points
-MIN_LABEL_GAP_MM = 1.5  # mm on paper, between two names
+LETTER_WIDTH_MM = 1.3  # width (mm on paper) of a letter of 7 points
+MIN_LABEL_GAP_MM = 1.5  # smallest gap (mm on paper) between two names
 
 
 def spread_labels(places: Sequence[float], names: Sequence[str], scale: float) -> Floats:
