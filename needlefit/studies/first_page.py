@@ -28,7 +28,7 @@ Status = Literal["none", "pass", "warn", "fail"]
 #: from the best to the worst; "none" where nothing was tested, as of a prediction: it has no badge
 STATUSES: tuple[Status, ...] = ("none", "pass", "warn", "fail")
 
-MAX_NAMED_NEEDLES = 3  #: on any one of which a verdict hangs; of more their number is printed
+MAX_NAMED_NEEDLES = 3  #: largest number of needles that are named where a verdict depends on any one of them
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def is_printed_as_one(ratio: float) -> bool:
     return f"{ratio:.2g}" == "1"
 
 
-RESULTS = "reports"  #: the folder that holds the folders of results, unless a command states another
+RESULTS = "reports"  #: folder that holds the folders of results, unless a command states another
 
 
 @dataclass(frozen=True)

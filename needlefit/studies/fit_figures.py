@@ -28,9 +28,9 @@ from needlefit.studies.run import FitFrames, Run
 # ---- insertions
 
 _POINT_COLUMNS = [*INSERTION_KEYS, "curve", "x_mm", *HEIGHT_COLUMNS]
-MAX_PANELS = 48  #: insertions at most that have a panel each: a page has room for 12 rows of 4
+MAX_PANELS = 48  #: largest number of insertions that have a panel each: a page has room for 12 rows of 4
 
-_OVERLAY_POINT_STEP = 5  # of the points compared, one in so many is drawn
+_OVERLAY_POINT_STEP = 5  # number of compared points of which one is drawn
 
 
 def collect_curves(
@@ -173,7 +173,7 @@ def draw_odd_needles(odd: Sequence[DoubtMetadata]) -> Drawing:
 
 # ---- predictive check
 
-BAND_POINTS = 100  #: number of probabilities at which the band is computed, plus one
+BAND_POINTS = 100  #: number of intervals between the probabilities at which the band is computed
 BAND_ERROR_PROBABILITY = 0.05  #: probability that uniform PIT values leave the band somewhere
 
 

@@ -265,7 +265,7 @@ def lay_out_insertions(run: Run) -> TableLayout:
 
 # ---- parameters: posterior and error-minimising fit, beside the paper's
 
-AT_BOUND = "*"  #: marks the end of a range that is a bound
+AT_BOUND = "*"  #: mark at the end of a range that is a bound
 END_DIGITS = 2  #: significant digits of the ends of an interval
 
 
@@ -389,8 +389,10 @@ def list_wide(run: Run) -> list[str]:
     ]
 
 
-MIN_GAIN = 2.0  #: how many times smaller a factor must be by a stated direction to be named
-MAX_GAINED_FACTOR = 100.0  #: greatest factor (by stated directions) that is named: a greater one is of no use
+#: smallest ratio of a parameter's factor without a stated direction to the one with it, at which both are
+#: named
+MIN_GAIN = 2.0
+MAX_GAINED_FACTOR = 100.0  #: largest factor with a stated direction that is named: a larger one is of no use
 
 
 def list_gains_of_direction(run: Run) -> list[tuple[str, str, str]]:

@@ -129,9 +129,9 @@ def _find_medians(run: Run) -> Iterator[Row]:
 
 # ---- errors beside the noise floor
 
-#: factor between in-sample errors and their noise floor, either way, below which no warning is given
+#: largest factor between in-sample errors and their noise floor, either way, without a warning
 FAR_FROM_FLOOR = 2.0
-CHANCE = 1e-3  #: probability of such a factor by chance, below which it is one
+CHANCE = 1e-3  #: largest probability that errors are so far from the floor by chance, with a warning
 
 
 def _find_wrong_noise(run: Run, too_large: bool) -> Iterator[Row]:
@@ -262,9 +262,10 @@ RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
 
 #: methods whose invalid predictions give a warning
 FITTED_METHODS = ("fitted", "fitted_metric")
-#: share of draws, or of needles predicted by them, that may be outside without a warning: their tails are
+#: largest share of draws, or of their needles, outside the model's validity without a warning: tails may be
 MAX_OUTSIDE_SHARE = 0.01
-MOSTLY_OUTSIDE = 0.5  #: share of draws outside above which they determine no parameter
+#: largest share of draws outside the model's validity with which parameters can be determined
+MOSTLY_OUTSIDE = 0.5
 
 _PREDICTED = "predictions of held-out insertions"
 

@@ -36,10 +36,12 @@ from needlefit.reporting.table_files import Row
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.run import NEW_SPECIMEN
 
-PREDICTION_DRAWS = 1000  #: parameter sets of which a needle is predicted
-FIGURE_DRAWS = 400  #: parameter sets that a figure of the posterior shows
-SHIFT_DRAWS = 5  #: parameter sets at which it is looked how far those that are held move the needles
-#: of one specimen by itself: where its posterior overlaps with the others', few of its draws lie
+PREDICTION_DRAWS = 1000  #: number of parameter sets of which a needle is predicted
+FIGURE_DRAWS = 400  #: number of parameter sets that a figure of the posterior shows
+#: number of parameter sets at which the effect of the fixed parameters on the needles is computed
+SHIFT_DRAWS = 5
+#: efforts of sampling of one specimen by itself: where its posterior overlaps with the others', few of its
+#: draws lie
 SPECIMEN_EFFORTS = (Effort(draws=500, min_ess=1000.0), LARGER_EFFORT)
 
 

@@ -47,7 +47,7 @@ IDENTIFICATION_COLUMNS = (
 #: parameter.
 PROFILE_COLUMNS = ("fold", "parameter", "value", "deviance", "slope", "threshold")
 
-FROM_PRIOR = "from the prior"  #: what limits a parameter whose posterior is about its prior
+FROM_PRIOR = "from the prior"  #: words for what limits a parameter whose posterior is about its prior
 
 
 class ParameterRow(NamedTuple):
@@ -243,6 +243,7 @@ class ParameterInterval:
         return {"interval_low": self.low, "interval_high": self.high, "draw_source": self.source}
 
 
+#: probability of an interval, and the percentiles of its lower end, the median and its upper end
 _LEVEL, _PERCENTILES = 0.95, (2.5, 50, 97.5)
 
 

@@ -36,8 +36,10 @@ from needlefit.schemas.run_metadata import (
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.job import Job
 
-VERSION = 1  #: of what files mean; raise it when the same files mean another fit, as by another default
-PART_DIGITS = 16  #: of the digests of parts, which are only looked at where the whole ones differ
+#: version of what files mean; raise it when the same files mean another fit, as by another default
+VERSION = 1
+#: number of digits of the digests of parts, which are only compared where the whole ones differ
+PART_DIGITS = 16
 
 #: keys of a study of which what follows counts: the contents of files, and the insertions selected
 RESOLVED = frozenset(

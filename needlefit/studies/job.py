@@ -39,7 +39,7 @@ from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.kind import kind_of
 from needlefit.studies.run import Run
 
-MAX_KEPT_PROBLEMS = 4  #: as many as the searches of a fold
+MAX_KEPT_PROBLEMS = 4  #: largest number of problems that are kept: as many as the searches of a fold
 #: noise floors of insertions that are in use, by what else they depend on
 _floors: WeakKeyDictionary[Insertion, dict[object, NoiseFloor]] = WeakKeyDictionary()
 
@@ -239,7 +239,7 @@ def run_study(study: StatedStudy, settings: Settings) -> Run:
     return replace(run, timing=timing | run.timing)
 
 
-GIT_SECONDS = 5.0  # longest time that git is waited for
+GIT_SECONDS = 5.0  # longest time (s) that git is waited for
 
 
 @cache

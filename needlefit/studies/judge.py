@@ -49,16 +49,17 @@ from needlefit.studies.run import PREDICTION_METHOD, FitFrames, Run, value_of_ru
 from needlefit.studies.scored_groups import TE, pool_insertions
 
 REFERENCES = ("straight", "constant_curvature")  #: the curves that one fit is compared with
-#: independent trials from which on differences are tested
+#: smallest number of independent trials with which differences are tested
 MIN_TRIALS = 3
-#: tip error over the measurement noise up to which the model errs no more than the measurements
+#: largest tip error over the measurement noise at which the model errs no more than the measurements
 MAX_NOISE_RATIO = 2.0
-#: probability of each error: to call predictions that are as good as a curve better, or worse
+#: probability of each of two errors: to call predictions that are as good as a curve better, or worse
 SIGNIFICANCE = 0.05
-#: probability with which a test finds an exact prediction closer, below which needles bend too little for it
+#: smallest power of a test to find an exact prediction closer; below it needles bend too little for the test
 MIN_POWER = 0.8
+#: normal quantiles: of a significant difference, and of the smallest power
 CLOSER_Z, POWER_Z = (float(scipy.special.ndtri(probability)) for probability in (1 - SIGNIFICANCE, MIN_POWER))
-#: the same for a difference from either of two references (Bonferroni)
+#: normal quantile of a significant difference from either of two references (Bonferroni)
 WORSE_Z = float(scipy.special.ndtri(1 - SIGNIFICANCE / len(REFERENCES)))
 #: columns of the table "errors": the predicted tip minus the measured one, in the needle's frame; the stated
 #: standard deviation of the measured tip in any direction across; the part of it that needles may share
@@ -379,7 +380,7 @@ def check_needles(run: Run, judged: Judgement) -> Iterator[Finding]:
     yield finding
 
 
-#: trials of which the 95 % confidence interval of a share, all or none, excludes one half
+#: smallest number of trials of which the 95 % confidence interval of a share, all or none, excludes one half
 FEWEST_TRIALS = 4
 
 

@@ -26,8 +26,8 @@ from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.reporting.table_files import Row
 from needlefit.studies.observations import HeldOutPrediction
 
-NEEDLE_POINTS = 51  # points of a fitted needle and of its band
-BAND_PROBABILITY = 0.95
+NEEDLE_POINTS = 51  # number of points of a fitted needle and of its band
+BAND_PROBABILITY = 0.95  # probability inside the band
 BAND_CURVES = ("low", "middle", "high")
 NOWHERE: Floats = np.empty(0)
 

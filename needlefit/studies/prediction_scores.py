@@ -28,7 +28,7 @@ from needlefit.inference.proportion import Proportion, estimate_proportion
 from needlefit.metrics import CURVATURE_RMS, OVER_NOISE, TE, TRACK_RMS, verdict_metrics
 from needlefit.reporting.table_files import Row
 
-BAND_POINTS = 41  #: points of a band that are kept, of up to some 200
+BAND_POINTS = 41  #: number of points of a band that are kept, of up to some 200
 
 
 def list_band_ends(bands: CurveBands) -> dict[str, Floats]:
@@ -72,10 +72,11 @@ def tabulate_sensors(insertion: Insertion, about: Floats) -> Iterator[Row]:
             }
 
 
-#: a column that predictions of curvatures alone have besides, the mean score of their readings
+#: column that only predictions of curvatures have: the mean score of their readings
 CURVATURE_CRPS = "curvature_crps_1_per_m"
 SHAPE_CRPS = "shape_crps_mm"
-CRPS_OVER_NOISE = "crps_over_noise"  #: that of insertions that were measured by different things
+#: column of the mean score over the noise, where insertions have different observations
+CRPS_OVER_NOISE = "crps_over_noise"
 
 
 class PredictedScore(NamedTuple):
@@ -175,9 +176,9 @@ def score_tip(mixture: PredictiveMixture, measured: Floats) -> Row:
 
 # ---- how well intervals cover insertions
 
-#: Monte Carlo standard error of the width of the 95 % interval of a tip
+#: column of the Monte Carlo standard error of the width of a tip's 95 % interval
 WIDTH_ERROR_COLUMN = "tip_95_width_error_mm"
-#: expected width of the 95 % interval of the tip after one measured insertion into the new specimen
+#: column of the expected width of the tip's 95 % interval after one measured insertion into the new specimen
 AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
 
 
@@ -255,7 +256,7 @@ def tabulate_coverage(predictions: pd.DataFrame) -> Row:
     }
 
 
-#: width of the 95 % interval of a tip up to which it serves for aiming, unless a recipe states another
+#: largest width (mm) of a tip's 95 % interval that serves for aiming, unless a recipe states another
 MAX_AIMING_WIDTH_MM = 2.0
 
 

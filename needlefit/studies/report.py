@@ -405,9 +405,10 @@ def compose_overview(runs: Sequence[Run], tables: Sequence[TableLayout]) -> Docu
 
 # ---- reference results
 
-LENGTH_DECIMALS = 5  #: decimals of a length in mm
-SIGNIFICANT_DIGITS = 5  #: significant digits of all other numbers
-MAX_ROWS = 500  #: longest table that is kept: longer ones are intermediate results that nobody reviews
+LENGTH_DECIMALS = 5  #: number of decimals of a length in mm
+SIGNIFICANT_DIGITS = 5  #: number of significant digits of all other numbers
+#: largest number of rows of a table that is kept: longer ones are intermediate results that nobody reviews
+MAX_ROWS = 500
 
 
 def write_reference(run: Run, folder: Path) -> Path:

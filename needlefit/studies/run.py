@@ -225,7 +225,8 @@ FIT_KINDS = ("cross_validation", "fit")  #: kinds of study whose runs have these
 #: in place of a specimen's name: those that were tuned on, together, and one that is not in the dataset
 TUNED_SPECIMENS, NEW_SPECIMEN = "(tuned)", "(new)"
 
-#: our prediction: the needle of the posterior mode, through the layers that it meets itself, or the median
+#: name of our prediction as a method: the needle of the posterior mode, through the layers that it meets
+#: itself, or the median needle
 PREDICTION_METHOD = "prediction"
 #: the methods that simulate a needle: both fits, b fitted alone with the others as they are before any data,
 #: and the paper's parameters
@@ -299,13 +300,15 @@ def list_methods() -> tuple[str, ...]:
 
 RESULTS_FILE, RUN_FILE = "results.json.gz", "run.json"
 Form = TypeVar("Form", bound=BaseModel)
-DATA_FOLDER = "dataset"  #: of a copy of the data that were fitted to
+DATA_FOLDER = "dataset"  #: folder of a copy of the data that were fitted to
 
-FORMAT_VERSION = 10  #: of the file of results
-#: largest size of the text in the file; the studies of the paper have some MB
+FORMAT_VERSION = 10  #: version of the format of the file of results
+#: largest size of the text in the file (bytes); the studies of the paper have some MB
 MAX_UNPACKED_BYTES = 256 * 2**20
-MAX_DATA_BYTES = 64 * 2**20  #: of the data that are copied; the synthetic dataset has 0.8 MB
-MAX_RUN_BYTES = 32 * 2**20  #: size of a `run.json`; those of several studies together have some hundred kB
+#: largest size of the data that are copied (bytes); the synthetic dataset has 0.8 MB
+MAX_DATA_BYTES = 64 * 2**20
+#: largest size of a `run.json` (bytes); those of several studies together have some hundred kB
+MAX_RUN_BYTES = 32 * 2**20
 
 _PLAIN = ("kind", "name", "origin", "dataset_title", "interrupted")
 
@@ -490,7 +493,7 @@ def _unpack_frame(table: Mapping[str, Any]) -> pd.DataFrame:
 # shipped ones by their names, others by their paths from the folder of the result, so that a project can be
 # moved.
 
-SOURCES_KEY = "sources"  #: of `timing.json`
+SOURCES_KEY = "sources"  #: key of the sources in `timing.json`
 
 
 def name_source(file: Path) -> str:

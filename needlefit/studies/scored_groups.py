@@ -135,7 +135,7 @@ _GROUP_COLUMNS = ("study", "grouping", "medium", "layers")
 _SCORE_COLUMNS = ("method", "boundaries", *AGGREGATE_COLUMNS, "paper", "paper_insertions")
 _DESCRIPTION_COLUMNS = ("layer_count_rule", "comparison", "compared", "origin")
 COLUMNS = (*_GROUP_COLUMNS, *_SCORE_COLUMNS, *_DESCRIPTION_COLUMNS)  #: columns of both tables
-#: the metric of verdicts, of warnings about them, and of every comparison of methods in words
+#: metric of verdicts, of warnings about them, and of every comparison of methods in words
 TE = "te_mm"
 #: by table the value of its column `grouping`: insertions held out, or fitted to, by medium and layers
 GROUPINGS = {"validation": "held_out", "tuning": "layers"}

@@ -42,9 +42,11 @@ from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.schemas.scene import ObstacleRecord, SceneRecord
 from needlefit.studies.run import FIT_KINDS, Run, draw_insertion
 
-GAIN_SD = 0.25  #: of the base, where no fit states one: 14 measured runs followed 28 % less
-TIP_MARGIN_MM = 5.0  #: a measured tip farther along x from where the needle stands is that of another needle
-DEPTH_STEP_MM = 1e-3  #: of the difference by depth
+#: SD of the gain of the base's moves where no fit states one: 14 measured runs followed 28 % less
+GAIN_SD = 0.25
+#: largest distance (mm) of a measured tip before the needle's; one farther away is another needle's
+TIP_MARGIN_MM = 5.0
+DEPTH_STEP_MM = 1e-3  #: step in depth (mm) of the difference quotient by depth
 Kind = Literal["tip", "shape", "curvatures"]
 Given = str | Path | Mapping[str, Any]  #: a name, a path, or a table of keys
 

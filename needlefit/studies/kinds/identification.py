@@ -76,12 +76,14 @@ CANDIDATE_COLUMNS = (
 """`role` is "candidate" or "repeat". `sd_now`, `sd_after`: of the combination of parameters that the design
 determines worst, without and with the insertion. `ess`: on how many draws the posterior afterwards stands."""
 
-MAX_CANDIDATES = 24  #: of more, some are chosen, evenly in depth
-MEASURED_POINTS = 31  #: of a candidate: neighbours err alike, so that more add next to nothing
-OUTER_DRAWS = 200  #: draws whose data are predicted; their scatter is the standard error of a gain
-EFFORT = Effort(draws=500, min_ess=1000.0)  #: the gain is seen by how few of the draws are left
-DROPPED_WEIGHT = 1e-3  #: the lightest draws, of this weight together, are left out
-MIN_ESS = 10.0  #: with fewer draws left, in the median, a gain is rough
+MAX_CANDIDATES = 24  #: largest number of candidates; of more, some are chosen, evenly in depth
+#: number of points of a candidate: errors of neighbours are alike, so that more add next to nothing
+MEASURED_POINTS = 31
+OUTER_DRAWS = 200  #: number of draws whose data are predicted; their scatter is the standard error of a gain
+#: effort of sampling; a gain shows in how few of the draws are left
+EFFORT = Effort(draws=500, min_ess=1000.0)
+DROPPED_WEIGHT = 1e-3  #: total weight of the lightest draws, which are left out
+MIN_ESS = 10.0  #: smallest effective number of draws, in the median, of a gain that is not rough
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
     "identify": IDENTIFICATION_COLUMNS,

@@ -74,7 +74,7 @@ from needlefit.studies.score import predict_needle
 
 #: columns that predictions of curvatures, or in space, have besides
 FURTHER_COLUMNS = (CURVATURE_CRPS, *SPATIAL_COLUMNS)
-MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
+MIN_SOLVED_DRAWS = 10  #: smallest number of solved draws that make a distribution
 
 
 def predict_needles(

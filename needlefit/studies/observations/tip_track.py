@@ -52,7 +52,7 @@ from needlefit.studies.run import PREDICTION_METHOD, FitFrames, Run
 from needlefit.studies.score import Scorer, make_scorer
 
 NAME = "tip_track"
-MIN_SCORED_READINGS = 2  #: fewest readings of a predicted track that are scored
+MIN_SCORED_READINGS = 2  #: smallest number of readings of a predicted track that are scored
 # a row per reading of a run predicted, direction and method; `measured_mm` counts from the run's first
 # reading, `scored` are those below the depth that places it in the tracker's frame
 READING_COLUMNS = (
@@ -64,8 +64,8 @@ END_COLUMNS = (
     *("fold", "run", "medium", "direction", "method", "registered_mm", "depth_mm", "measured_mm"),
     *("predicted_mm", "low_95_mm", "high_95_mm"),
 )
-MAX_PANELS = 20  #: panels of runs at most: a page has room for 5 rows of 4
-END_PARTS = 4  #: an end is predicted again after each of so many parts of the readings ahead
+MAX_PANELS = 20  #: largest number of panels of runs: a page has room for 5 rows of 4
+END_PARTS = 4  #: number of equal parts of the readings ahead, after each of which an end is predicted again
 
 
 def check_tracks(job: Job) -> None:

@@ -69,7 +69,7 @@ SEARCH_PHASES = {
     "fitted_metric": "search for the smallest errors",
     "b_alone": "search for b alone",
 }
-#: steps of progress: of a profile, of all posterior draws and of a prediction; a start of a search has 1
+#: steps of progress of a profile, of all posterior draws and of a prediction; a start of a search has 1
 PROFILE_STEPS, DRAW_STEPS, PREDICTION_STEPS = 4, 30, 4
 
 

@@ -21,7 +21,8 @@ from needlefit.studies.kinds.prediction.run import AXES
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run
 
-PRINTED_DEPTHS = (0.25, 0.5, 0.75, 1.0)  #: of the length to the tip, whose intervals are printed
+#: depths whose intervals are printed, as fractions of the length to the tip
+PRINTED_DEPTHS = (0.25, 0.5, 0.75, 1.0)
 BAND_COLOURS = {"95": "#BFDBEC", "50": "#7FB8D8"}  #: by level, the widest first
 
 TEXT = KindText("prediction")

@@ -58,8 +58,8 @@ from needlefit.studies.run import Run, posterior_file_names, restore_run
 
 # ---- the needle for all draws of the parameters, its intervals and bands
 
-FORECAST_POINTS = 101  #: points of a predicted needle, from entry to tip
-NEAR_DRAWS = 20  #: draws of which the one nearest to the median is chosen
+FORECAST_POINTS = 101  #: number of points of a predicted needle, from entry to tip
+NEAR_DRAWS = 20  #: number of draws of which the one nearest to the median is chosen
 
 #: in the names of columns: along y, and z
 AXES = ("", "z_")
@@ -172,7 +172,7 @@ def forecast(scene: Scene, specimens: Specimens, into: Insertion | None) -> Fore
 
 # ---- the scene: like the deepest fitted insertion, and under the rules of the fit
 
-RIGIDITY_TOLERANCE = 0.02  #: relative difference of two needles' rigidity from which on they are two needles
+RIGIDITY_TOLERANCE = 0.02  #: smallest relative difference of the rigidities of two different needles
 
 
 def describe_like_deepest(

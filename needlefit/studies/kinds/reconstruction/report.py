@@ -44,8 +44,8 @@ from needlefit.studies.run import Run, store_sources
 
 SCANS_FILE = "scans.csv"
 TIP_COLUMNS = ("tip_l_mm", "tip_p_mm", "tip_s_mm", "tip_along_sd_mm", "tip_across_sd_mm")
-POOR_DEPTH_SD_MM = 0.5  # deviation of the inserted length, mm, that the first line names
-MAX_NAMED_SCANS = 5
+POOR_DEPTH_SD_MM = 0.5  # largest SD of the inserted length (mm) that the first line does not name
+MAX_NAMED_SCANS = 5  # largest number of scans that are named
 _COLUMNS = (
     *("scan", "medium", "depth_mm", "deflection_mm", "markers", "fre_mm", "target_error_tip_mm"),
     *("crossing_depths", "remark_count"),
@@ -73,7 +73,7 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
     "remarks": ("id", "note"),
     "deflections": ("id", "x_mm", "y_mm", "low_mm", "high_mm"),
 }
-MAX_DRAWN_POINTS = 60  # of a needle in the figure
+MAX_DRAWN_POINTS = 60  # largest number of points of a needle in the figure
 
 
 def run(name: str, record: ReconstructionBatchRecord, settings: Settings) -> Run:
