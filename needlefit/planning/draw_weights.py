@@ -15,10 +15,10 @@ from needlefit.arrays import Floats, Ints
 from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
 
-FEWEST_DRAWS = 200.0  #: effective draws, of 500; of fewer draws the same part
-MAX_ROUNDS = 6  #: of new draws after one measurement
-INFLATION = 1.3  #: of the covariance from which new draws come: their weights then stay bounded
-KEPT_VARIANCE = 1e-9  #: parts of the greatest variance below which a direction is exact
+FEWEST_DRAWS = 200.0  #: smallest effective number of draws, of 500; of fewer draws the same part
+MAX_ROUNDS = 6  #: largest number of rounds of new draws after one measurement
+INFLATION = 1.3  #: factor on the covariance from which new draws come: their weights then stay bounded
+KEPT_VARIANCE = 1e-9  #: variance, as a fraction of the largest one, below which a direction is exact
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,13 @@ from needlefit.geometry.frames import Placement
 from needlefit.schemas.names import name_fault
 from needlefit.schemas.scene import ObstacleRecord
 
-PATH_POINTS = 41  #: points of a needle, entry to tip
-UNSOLVED_MISS_MM = 100.0  #: the miss that stands for a needle without a solution, mm
-OBSTACLE_PENALTY = 10.0  #: by how much a mm of an obstacle counts more than a mm beside the target
-MIN_CIRCLE_MM = 1e-3  #: least radius of a circle in the plane of the needle, mm
-TARGET_LABEL = "target"  #: beginning of the label of the target in a file of markups, in any case
-MAX_NAME_LENGTH = 40  #: characters of the name of an obstacle; of a longer label the first ones
+PATH_POINTS = 41  #: number of points of a needle, entry to tip
+UNSOLVED_MISS_MM = 100.0  #: miss (mm) that stands for a needle without a solution
+OBSTACLE_PENALTY = 10.0  #: weight of a millimetre inside an obstacle over one beside the target
+MIN_CIRCLE_MM = 1e-3  #: smallest radius (mm) of a circle in the plane of the needle
+TARGET_LABEL = "target"  #: beginning of the target's label in a file of markups, in upper or lower case
+#: largest number of characters of an obstacle's name; of a longer label the first ones are taken
+MAX_NAME_LENGTH = 40
 
 SpacePoint = tuple[float, float, float]
 

@@ -330,7 +330,7 @@ def _with_parameters(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:
 # found the same. Numbers are written so that reading gives the same bits.
 
 COLUMNS = ("step", "time_s", "input", "item", "value", "tip_lateral_mm")
-#: digits of the number of a guide or layer; Python refuses to convert thousands of digits
+#: largest number of digits of a guide's or layer's number; Python refuses to convert thousands of digits
 MAX_ITEM_DIGITS = 6
 
 

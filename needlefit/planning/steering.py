@@ -41,20 +41,22 @@ from needlefit.planning.goals import (
     find_hits,
 )
 
-SEARCH_DRAWS = 32  #: draws on which a plan is sought; the others test it
+SEARCH_DRAWS = 32  #: number of draws on which a plan is searched; the others test it
 SEARCH_TOLERANCE = 1e-4  #: relative change at which a search ends
-MAX_EVALUATIONS = 25  #: of one search, with a gradient
-QUICK_ROUNDS = 2  #: of Gauss-Newton steps of a plan that is made again on the way
-QUICK_RAMP = 0.15  #: part of the remaining way on which the base moves: later moves hardly bend a needle
-BASE_STEP_MM = 5.0  #: the base moves in steps of so much inserted depth
-DEPTH_RANGE_MM = 5.0  #: a plan ends within so much of the target's own depth
-NEAREST_TARGET_MM = 0.5  #: a target lies at least so much deeper than the tip
-TURN_PLACES = {0: 0, 1: 5, 2: 4}  #: on how many places along the way so many turns of the bevel are tried
-#: expected miss, mm, for which the base or the entry is moved over its whole range, or the bevel turned
+MAX_EVALUATIONS = 25  #: largest number of evaluations of one search, with a gradient
+QUICK_ROUNDS = 2  #: number of Gauss-Newton steps of a plan that is made again on the way
+QUICK_RAMP = 0.15  #: fraction of the remaining way on which the base moves: later moves hardly bend a needle
+BASE_STEP_MM = 5.0  #: inserted depth (mm) of one step of the base
+DEPTH_RANGE_MM = 5.0  #: largest distance (mm) of a plan's end from the target's own depth
+NEAREST_TARGET_MM = 0.5  #: smallest distance in depth (mm) of a target beyond the tip
+#: number of places along the way at which turns are tried, by the number of turns of the bevel
+TURN_PLACES = {0: 0, 1: 5, 2: 4}
+#: expected miss (mm) that counts as much as a move of base or entry over the whole range, or a turn of the
+#: bevel
 EFFORT_MM = 0.05
 
-TURN_RISK = 0.005  #: risk for which a further turn is taken
-EFFORT_RISK = 0.01  #: risk for which base and entry are moved over their ranges
+TURN_RISK = 0.005  #: risk that counts as much as a further turn
+EFFORT_RISK = 0.01  #: risk that counts as much as moves of base and entry over their whole ranges
 
 
 @dataclass(frozen=True)
@@ -75,26 +77,28 @@ class _RiskRules:
 
 
 SAMPLED = _RiskRules(width=0.15, miss_risk=0.02, refined=2, evaluations=40, sure_risk=0.05, sloped=False)
-"""Of many draws."""
+"""Rules of the risk of many draws."""
 
 EXACT = _RiskRules(
     width=0.02, miss_risk=0.3, refined=3, evaluations=120, sure_risk=0.01, sloped=True, density=3
 )
-"""Of exact parameters, one needle, which costs little: an obstacle that is just passed is no risk, so that
-the miss is all that is left to lower."""
+"""Rules of the risk of exact parameters, one needle, which costs little: an obstacle that is just passed is
+no risk, so that only the miss is left to lower."""
 
 NESTED_RANGES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75)
 """Parts of the base's range that are searched too: a wider range then finds no less than these."""
 
-LIMIT_PART = 1e-3  #: a choice this near to the end of its range, as a part of it, is at its limit
-CERTAIN_RISK = 0.99  #: from this risk on a choice counts as one that misses the target in all draws
+#: distance of a choice from the end of its range, as a fraction of it, within which it is at its limit
+LIMIT_PART = 1e-3
+CERTAIN_RISK = 0.99  #: smallest risk of a choice that counts as one that misses the target in all draws
 
 ENTRY, DEPTH, BASE_Y, BASE_SLOPE, ROLL = range(5)
 """Places in the inputs of a choice: entry, depth, base (mm), slope of the base; in space roll (degrees)."""
 MOVED = [ENTRY, BASE_Y, BASE_SLOPE]  #: what `PlanLimits` limits
-DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05, 1e-3, 0.5])  #: of inputs, in their order
+#: steps of difference quotients by the inputs, in their order
+DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05, 1e-3, 0.5])
 
-MAX_ROLL_DEG = 360.0  #: a roll is sought up to so far from that toward y: it may go once around
+MAX_ROLL_DEG = 360.0  #: largest difference (degrees) of a roll from that toward y: it may go once around
 
 LIMITED = ("entry", "base", "base angle")  #: names of `MOVED`, as `SteeringPlan.at_limit` has them
 
