@@ -52,8 +52,8 @@ if TYPE_CHECKING:
 # It can be steered: here is where its insertion begins, and its plan as a recording.
 
 
-SPEED_MM_S = 10.0  #: speed of insertion in the recording of a plan
-#: the needle goes in by so much in each recorded step; that changes nothing of where it ends
+SPEED_MM_S = 10.0  #: speed (mm/s) of insertion in the recording of a plan
+#: insertion (mm) in each recorded step; it does not change where the needle ends
 RECORDED_STEP_MM = 1.0
 
 
@@ -168,11 +168,10 @@ def list_changes(steering: SteeredNeedle, steps: Sequence[Step]) -> Iterator[tup
 
 # ---- a measured insertion
 
-SHOWN_METHOD = "fitted"  #: the method of a run whose parameters are shown
-# Parameters of all layers of an undescribed medium: the paper's softer material.
-DEFAULT_MU_PA = 2e5  # Pa
-DEFAULT_ALPHA = 1.0
-DEFAULT_BEVEL_MM = 0.05  # mm: roughly the paper's bevel offset
+SHOWN_METHOD = "fitted"  #: method of a run whose parameters are shown
+DEFAULT_MU_PA = 2e5  # mu (Pa) of all layers of an undescribed medium: the paper's softer material
+DEFAULT_ALPHA = 1.0  #: alpha of these layers
+DEFAULT_BEVEL_MM = 0.05  # offset (mm) of the bevel in such a medium: about the paper's
 
 
 def open_dataset(view_target: ViewTarget) -> ViewedScene:

@@ -23,7 +23,7 @@ from needlefit.viewer.measured import ViewedScene
 if TYPE_CHECKING:
     from needlefit.inference.forward_model import ParameterDraws
 
-DEFAULT_SCENE = "phantom2_fitted"  #: the scene that is shown where nothing is named
+DEFAULT_SCENE = "phantom2_fitted"  #: scene that is shown where none is named
 DRAWS_SUFFIX = ".draws.csv"  #: ending of the table of parameter draws beside a scene, in place of `.toml`
 
 
@@ -83,7 +83,8 @@ def read_scene_draws(path: Path, record: SceneRecord) -> "ParameterDraws | None"
     return select_layer_draws(table, layers, record.law)
 
 
-SAME = 1e-6  #: difference of two numbers of a scene, mm, degrees or parts of the value, that no one states
+#: largest difference (mm, degrees, or a fraction of the value) of two numbers of scenes that are the same
+SAME = 1e-6
 
 
 def _is_same(first: object, other: object) -> bool:

@@ -20,8 +20,8 @@ from needlefit.viewer.measured import ViewedScene
 if TYPE_CHECKING:
     from needlefit.planning.steering import SteeringPlan
 
-LENGTH_DIGITS = 4  #: decimals of drawn lengths in mm
-PLAN_NEEDLES = 40  #: needles of the draws of a plan that are drawn
+LENGTH_DIGITS = 4  #: number of decimals of drawn lengths in mm
+PLAN_NEEDLES = 40  #: number of needles, of the draws of a plan, that are drawn
 
 
 def compose_page(
