@@ -32,9 +32,10 @@ if TYPE_CHECKING:
 # ---- how far a long run is, and the time left: a bar on a terminal, otherwise a line a minute; on stderr
 
 
-LINE_INTERVAL_SECONDS = 60.0
+LINE_INTERVAL_SECONDS = 60.0  # shortest time (s) between two lines of progress in a pipe or file
 MIN_PACE_PART = 0.25
-"""Of the work that was to do, from which on its pace gives the time left: first steps take the longest."""
+"""Smallest fraction of the work after which its pace gives the time left: the first steps take the
+longest."""
 
 
 @contextmanager

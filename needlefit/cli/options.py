@@ -220,7 +220,8 @@ def change_scene(
     return where, check(override(scene, pairs, label), SceneRecord, where)
 
 
-MAX_CHANGES_CHARACTERS = 80  #: of the name of a folder
+#: largest number of characters in a folder's name that state the changes of a prediction
+MAX_CHANGES_CHARACTERS = 80
 
 
 def name_changes(depth: float | None, assignments: Sequence[str], specimen: str | None) -> str:

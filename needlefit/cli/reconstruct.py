@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 MAX_DEFAULT_JOBS = 2
-"""Scans at once unless somebody wants more: each takes several times the memory of its volume."""
+"""Largest number of scans at once, unless stated: each takes several times the memory of its volume."""
 
 
 def reconstruct(

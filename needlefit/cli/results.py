@@ -11,7 +11,7 @@ from needlefit.cli import options, screen
 from needlefit.cli.execution import show_json_of, show_run
 from needlefit.cli.options import argument, option
 
-MAX_SHOWN_DIFFERENCES = 40  #: rows of the table of differences on the screen
+MAX_SHOWN_DIFFERENCES = 40  #: largest number of rows of the table of differences on the screen
 
 
 def report(

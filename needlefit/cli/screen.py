@@ -33,7 +33,7 @@ def print_written(folder: Path | str, more: str = "") -> None:
     print_line(f"written: {folder}/{more}")
 
 
-SCREEN_COLUMNS = 100  # width of sentences and tables in a pipe or file
+SCREEN_COLUMNS = 100  # width (characters) of sentences and tables in a pipe or file
 
 
 def find_width() -> int:
@@ -107,8 +107,9 @@ def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFr
     print_line()
 
 
+#: width (characters) of a console that limits no table, so that a table's own width is measured
 MAX_MEASURED_COLUMNS = 10_000
-MAX_HEAD_LINES = 8  #: of the head of a column
+MAX_HEAD_LINES = 8  #: largest number of lines of the head of a column
 
 
 def show_display(table: "TableLayout", notes: bool = True) -> None:
@@ -120,7 +121,7 @@ def show_display(table: "TableLayout", notes: bool = True) -> None:
         print_text(line)
 
 
-_RICH_NO_BREAK = "\ue000"  #: stands for a no-break space in rich, which breaks lines there
+_RICH_NO_BREAK = "\ue000"  #: character in place of a no-break space in rich, which breaks lines there
 
 
 def _join_head(column: "TableColumn") -> str:
