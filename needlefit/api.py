@@ -63,7 +63,7 @@ from needlefit.studies.kind import find_kind
 from needlefit.studies.load import load_target
 from needlefit.studies.run import Run, restore_run
 
-ELPD_DRAWS = 1000  #: of a posterior, by which data that are left out are weighed
+ELPD_DRAWS = 1000  #: number of posterior draws by which left-out data are scored
 
 
 class RunOptions(TypedDict, total=False):

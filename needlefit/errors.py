@@ -22,9 +22,9 @@ _UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u20
 
 
 MAX_LINE_CHARACTERS = 1000
-"""Of a line of a message: what a file holds may have any length."""
+"""Largest number of characters of a line of a message: what a file holds may have any length."""
 MAX_MESSAGE_CHARACTERS = 16_000
-"""Of all of it."""
+"""Largest number of characters of a message."""
 
 
 class NeedlefitError(Exception):

@@ -19,7 +19,7 @@ from types import ModuleType
 
 from needlefit.errors import ConfigError
 
-GROUP = "needlefit.plugins"  # of entry points that name plugin modules
+GROUP = "needlefit.plugins"  # group of entry points that name plugin modules
 PLUGINS_VARIABLE = "NEEDLEFIT_PLUGINS"
 """Environment variable: further plugin modules, separated by commas; child processes inherit it."""
 
