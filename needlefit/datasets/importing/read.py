@@ -433,18 +433,19 @@ def _name_curves(needles: Sequence[Sequence[ImportedCurve]]) -> list[ImportedCur
     """Return the insertions, each with an id of its own; several blocks of one table are numbered."""
     taken, blocks = set[str](), Counter(needle[0].given for needle in needles if not needle[0].is_named)
     numbers = Counter[str]()
-    for first, *others in needles:
-        given = first.given
-        if not first.is_named and blocks[given] > 1:
+    for insertions in needles:
+        given = insertions[0].given
+        if not insertions[0].is_named and blocks[given] > 1:
             numbers[given] += 1
             given = f"{given}-{numbers[given]}"
-        taken.add(name := _make_name(given, taken))
-        for curve in (first, *others):
+        name = _make_name(given, taken)
+        for curve in insertions:
             stop = curve.name.removeprefix(curve.given)
-            curve.given, curve.name = given, _make_name(f"{name}{stop}", taken) if stop else name
+            curve.given, curve.name = given, _make_name(f"{name}{stop}", taken)
             taken.add(curve.name)
             if curve.kind.has_stops and curve.is_named:
                 curve.hole = curve.hole or name
+        taken.add(name)
     return [curve for needle in needles for curve in needle]
 
 
