@@ -17,7 +17,7 @@ from needlefit.schemas.names import MAX_NAME_BYTES
 PoseSource = Literal["stage", "shaft", "fitted", "first_point", "none", "tracker"]
 
 POINT_COLUMNS = ("x_mm", "y_mm", "z_mm")
-SD_COLUMN = "sd_mm"  # the column of a centreline with the standard deviation of each point across the needle
+SD_COLUMN = "sd_mm"  # column of a centreline with the SD of each point across the needle (mm)
 ENTRY_COLUMNS = ("entry_x_mm", "entry_y_mm", "entry_z_mm")
 DIRECTION_COLUMNS = ("entry_dx", "entry_dy", "entry_dz")
 BEVEL_COLUMNS = ("bevel_x", "bevel_y", "bevel_z")
@@ -39,24 +39,28 @@ INSERTION_COLUMNS = (
     *("pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg"),
     *("boundary_sd_mm", "depth_sd_mm", "guide_distance_mm"),
 )
-NEEDLE_COLUMN = "needle"
-SETUP_COLUMN = "setup"  # of tip tracks
-BOUNDARIES_COLUMN = "boundaries_mm"  # depths, separated by `;`, or `NO_BOUNDARY`
-NO_BOUNDARY = "none"
+NEEDLE_COLUMN = "needle"  # column with the name of the needle
+SETUP_COLUMN = "setup"  # column of tip tracks with the name of the set-up
+BOUNDARIES_COLUMN = "boundaries_mm"  # column of depths (mm), separated by `;`, or `NO_BOUNDARY`
+NO_BOUNDARY = "none"  # text in place of depths where there is no boundary
+# column of the SD of a boundary (mm) that all insertions into a specimen share
 SHARED_COLUMN = "boundary_shared_sd_mm"
-HOLE_COLUMN = "hole"
-BASE_SHIFT_COLUMN = "base_moved_mm"
+HOLE_COLUMN = "hole"  # column with the name of the hole
+BASE_SHIFT_COLUMN = "base_moved_mm"  # column of the distance (mm) by which the base was moved
 ROLL_COLUMNS = ("bevel_roll_deg", "bevel_roll_sd_deg")
 TURN_COLUMNS = ("id", "depth_mm", "bevel_roll_deg")  # of the table of turns during insertions
 # Of the table of curvatures: place of a sensor from the tip, curvature toward +y and +z of C, its deviation.
 CURVATURE_COLUMNS = ("id", "s_mm", "kappa_y_1_per_mm", "kappa_z_1_per_mm", "sd_1_per_mm")
 # Of an insertion whose tip was measured: its deflection along y and z of C, and its deviation beside a shape.
 TIP_COLUMNS = ("tip_y_mm", "tip_z_mm", "tip_sd_mm")
-POINT_SD_COLUMN = "point_sd_mm"  # where what was measured of an insertion errs by more or less than of others
-OBSERVATION_COLUMN = "observation"  # its name, where it is not that of the data that are there
-OBSERVATION_PREFIX = "observation_"  # of the columns of numbers that the observation of a plugin has besides
-MIN_SENSOR_MM = 1.0  # least distance of a sensor from tip and base, mm
-DEFAULT_ROLL_SD_DEG = 5.0  # standard deviation of a bevel's roll, where none is stated
+# column of the SD of a point (mm) of insertions whose measurement errs more or less than others
+POINT_SD_COLUMN = "point_sd_mm"
+# column with the name of an insertion's observation, where its data do not show it
+OBSERVATION_COLUMN = "observation"
+# beginning of the names of columns of numbers that only the observation of a plugin has
+OBSERVATION_PREFIX = "observation_"
+MIN_SENSOR_MM = 1.0  # smallest distance of a sensor from tip and base (mm)
+DEFAULT_ROLL_SD_DEG = 5.0  # SD of a bevel's roll (degrees) where none is stated
 
 # The columns of texts, which are fields of `InsertionRow`.
 TEXT_COLUMNS = ("id", "medium", "specimen", "pose_source", NEEDLE_COLUMN, HOLE_COLUMN, OBSERVATION_COLUMN)
@@ -80,9 +84,9 @@ NUMBER_COLUMNS: dict[str, tuple[str, float | None]] = {
 }
 STATED_POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)[:-2]
 
-MAX_ID_CHARS = 100
+MAX_ID_CHARS = 100  # largest number of characters of an id
 EXPECTED_ID = f"at most {MAX_ID_CHARS} letters of any script, digits, `.`, `_`, `-`, a letter or digit first"
-_ID_CATEGORIES = "LMN"  # of Unicode: letters, marks that are part of them, digits
+_ID_CATEGORIES = "LMN"  # categories of Unicode: letters, marks that are part of them, digits
 
 
 def describe_column(theirs: Mapping[str, str], column: str) -> str:

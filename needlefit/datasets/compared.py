@@ -13,14 +13,14 @@ from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.base import Compared
 
-SIGNIFICANT_SD = 3.0  # standard deviations beyond which a bend is not a measurement error
-#: by which the best hypothesis must be more probable than the next: a factor of 20 is strong evidence (R. E.
-#: Kass, A. E. Raftery, J. Am. Stat. Assoc. 90 (1995) 773)
+SIGNIFICANT_SD = 3.0  # number of standard deviations beyond which a bend is not a measurement error
+#: smallest log odds of the best hypothesis against the next: a factor of 20 is strong evidence (R. E. Kass,
+#: A. E. Raftery, J. Am. Stat. Assoc. 90 (1995) 773)
 MIN_LOG_ODDS = math.log(20.0)
-# Least bend over depth that counts: entry directions are hardly known better than 0.3 degrees.
+# smallest bend over depth that counts: entry directions are hardly known better than 0.3 degrees
 MIN_BEND_SLOPE = 0.005
-MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
-PLANAR_TURN_SINE = 1e-6  # sine of a turn up to which it is one by 0 or 180 degrees
+MAX_NAMED_INSERTIONS = 8  # largest number of insertions that a warning names
+PLANAR_TURN_SINE = 1e-6  # largest |sine| of a turn that counts as one by 0 or 180 degrees
 
 
 def compute_entry_sd(insertion: Insertion, noise: Noise) -> float:

@@ -20,7 +20,8 @@ from needlefit.schemas.deciding import select_deciding
 
 #: keys of a `dataset.toml` of which what was read for an insertion counts
 _READ = ("root", "needle", "needles", "media", "insertions", "centerlines", "tip_tracks", "sections")
-DECIMALS = 6  #: of numbers, mm, to which points and poses are rounded that were turned into the world
+#: decimals (of mm) to which points and poses are rounded that were converted to world coordinates
+DECIMALS = 6
 
 
 def digest_insertion(

@@ -11,8 +11,8 @@ from needlefit.errors import DataError, NeedlefitError
 
 Fault = NeedlefitError  # one that is noted
 
-MAX_LIKE_FAULTS = 3  # faults of one kind that are listed one by one
-MAX_LISTED_PLACES = 5  # places that are listed of more
+MAX_LIKE_FAULTS = 3  # largest number of faults of one kind that are listed one by one
+MAX_LISTED_PLACES = 5  # number of places that are listed where there are more faults
 _PLACE = re.compile(r"(?::(?=\d)|, (?=(?:line|point|row|sheet) ))(?P<place>[^/]*)$")  # behind a file's name
 
 

@@ -17,17 +17,18 @@ from needlefit.schemas.medium import BEVEL_BOUNDS, MediumRecord
 from needlefit.schemas.scene import Advance, SceneRecord, StepRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 
-MODULUS_BOUNDS_PA = [1e3, 1e9]  # Pa, of a first fit: beyond all soft tissues and gels
-# Of a guide before the tissue whose distance is fitted, mm: its least distance, prior median and factor.
+MODULUS_BOUNDS_PA = [1e3, 1e9]  # bounds of a modulus (Pa) in a first fit: beyond all soft tissues and gels
+# distance of a guide before the tissue, where it is fitted: its lower bound and prior median (mm), and prior
+# factor
 MIN_GUIDE_MM, GUIDE_MEDIAN_MM, GUIDE_FACTOR = 2.0, 25.0, 2.0
-MAX_GUIDE_MM = 120.0
-SCENE_MU_PA = 2e5  # Pa, of a scene before any fit
-SCENE_ALPHA = 1.0  # of the same
+MAX_GUIDE_MM = 120.0  # upper bound of that distance (mm)
+SCENE_MU_PA = 2e5  # modulus (Pa) in a scene before any fit
+SCENE_ALPHA = 1.0  # alpha in such a scene
 SCENE_BEVELS: Mapping[Advance, Mapping[str, float]] = {
     "tangent": {"offset_mm": 0.05},
     "path_angle": {"cut_angle_deg": 1.0},
 }
-"""Its bevel, by the rule of advance."""
+"""Bevel in such a scene (offset in mm, angle in degrees), by the rule of advance."""
 
 
 @dataclass(frozen=True)

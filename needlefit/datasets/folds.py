@@ -13,7 +13,7 @@ from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.study import FitRecord, FoldsRecord, StudyRecord
 
-MAX_NAMED_SPECIMENS = 8  #: specimens that a warning names
+MAX_NAMED_SPECIMENS = 8  #: largest number of specimens that a warning names
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ class Noise:
         return self.point_sd > 0 or self.correlated_sd > 0
 
 
-GUIDE_STILL_MM = 0.05  # a guide that moved by less than this, mm, counts as fixed: stages jitter
+GUIDE_STILL_MM = 0.05  # movement (mm) of a guide below which it counts as fixed: stages jitter
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,10 +397,10 @@ class Dataset:
     rigidities: Mapping[str, str] = field(default_factory=dict, repr=False)
 
 
-# Deviation of a surface that all insertions into a specimen share, mm, where none is stated; not more than
-# the whole deviation of a boundary.
+# SD (mm) of a surface that all insertions into a specimen share, where none is stated; not more than the
+# whole SD of a boundary
 SHARED_BOUNDARY_SD_MM = 0.1
-MIN_OWN_BOUNDARY_SD_MM = 0.02  # least deviation of a boundary in one insertion alone, mm
+MIN_OWN_BOUNDARY_SD_MM = 0.02  # smallest SD (mm) of a boundary in one insertion alone
 
 
 def split_boundary_sd(insertion: Insertion) -> tuple[float, float]:
@@ -426,7 +426,7 @@ def find_pose(pose: Pose, insertion: Insertion) -> InsertionPose:
     return "direction" if pose == "known" and insertion.pose_source == "first_point" else pose
 
 
-MAX_CENTERLINE_POINTS = 200  # a centreline with more points is thinned to about this many
+MAX_CENTERLINE_POINTS = 200  # number of points to which a centreline with more is thinned, about
 
 
 def select_compared_places(

@@ -46,7 +46,7 @@ from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 Problem = tuple[str, str, str]  # of a row: what is wrong, what is expected, and how it is fixed
 
-UNIT_VECTOR_TOLERANCE = 1e-3  # greatest deviation of a direction's length from 1
+UNIT_VECTOR_TOLERANCE = 1e-3  # largest deviation of a direction's length from 1
 
 
 def parse_rows(table: CsvTable, record: DatasetRecord, all_faults: list[Fault]) -> list[InsertionRow]:
@@ -73,7 +73,7 @@ def parse_rows(table: CsvTable, record: DatasetRecord, all_faults: list[Fault]) 
     return [row for n, row in enumerate(rows) if named.where(n) not in bad and _is_finite(row)]
 
 
-MAX_CURVATURE = 0.1  # of a needle, 1/mm: a radius of 10 mm
+MAX_CURVATURE = 0.1  # largest curvature of a needle (1/mm): a radius of 10 mm
 
 
 def add_turns(rows: Sequence[InsertionRow], table: CsvTable, faults: list[Fault]) -> list[InsertionRow]:

@@ -28,9 +28,8 @@ from needlefit.project.toml import locate_key
 from needlefit.project.unit_warnings import LENGTH_UNITS, FormatPlace
 from needlefit.schemas.dataset import DatasetRecord, SurfaceRecord
 
-# A surface was written in another unit whose greatest extent is
-MIN_SURFACE_MM = 1.0  # mm, less than this
-MAX_SURFACE_MM = 2000.0  # mm, or more than this
+MIN_SURFACE_MM = 1.0  # smallest extent of a surface (mm); a smaller one was written in another unit
+MAX_SURFACE_MM = 2000.0  # largest extent of a surface (mm); a larger one was written in another unit
 RESTORE_FIX = "check its name, or restore it"
 EXPORT_FIX = "export the surface again as triangles, e.g. as STL"
 MISSED_FIX = "export surfaces and centrelines in mm and in one frame (LPS or RAS)"
@@ -116,8 +115,8 @@ def find_surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
         )
 
 
-# An open mesh is a solid with a hole rather than a sheet if its opening is less than this part of its area: a
-# plane has 1, half a ball 1 / 2, a cube without a face 1 / 5.
+# opening of an open mesh over its area below which it is a solid with a hole rather than a sheet: a plane has
+# 1, half a ball 1 / 2, a cube without a face 1 / 5
 MAX_OPENING_RATIO = 0.25
 
 
@@ -244,19 +243,21 @@ def _turn_curvature(row: InsertionRow) -> Floats | None:
     return np.column_stack([s, cos * y + sin * z, cos * z - sin * y, sd])
 
 
-# By how much a centreline may go back: noise does that where points are dense.
-MAX_BACKWARD_MM = 0.05  # mm, always
-MAX_BACKWARD_SD = 8.0  # deviations of its noise
-MAX_BACKWARD_PART = 0.1  # of its span, at most
-SAME_POINT_MM = 1e-6  # points closer than this, mm, are one point twice
-# Relative difference allowed between length and depth; a free shape need not begin at the entry.
+# distance (mm) by which any centreline may go back: noise does that where points are dense
+MAX_BACKWARD_MM = 0.05
+MAX_BACKWARD_SD = 8.0  # distance by which a centreline may go back, in deviations of its noise
+MAX_BACKWARD_PART = 0.1  # largest such distance, as a fraction of the centreline's span
+SAME_POINT_MM = 1e-6  # distance (mm) below which two points are one
+# allowed difference between length and depth, over the depth; a free shape need not begin at the entry
 LENGTH_TOLERANCE = {"known": 0.05, "free": 0.30}
-LENGTH_TOLERANCE_MM = 2.0  # the same in mm, whichever is more
-MIN_DEEPEST_MM = 10.0  # depth of the deepest insertion of a needle; a smaller one was written in another unit
-MAX_START_DISTANCE_MM = 5.0  # greatest distance of a centreline's first point from the entry pose, mm
-AHEAD_COSINE = 0.98  # least cosine between the entry direction and that from the entry to points ahead of it
-MAX_HEADING_DEG = 45.0  # greatest angle between the entry direction and the chord of the centreline
-# Relative difference of a curve's span from the depth at which another unit explains their ratio.
+LENGTH_TOLERANCE_MM = 2.0  # allowed difference (mm) where that is smaller
+# smallest depth (mm) of a needle's deepest insertion; a smaller one was written in another unit
+MIN_DEEPEST_MM = 10.0
+MAX_START_DISTANCE_MM = 5.0  # largest distance (mm) of a centreline's first point from the entry pose
+# smallest cosine between the entry direction and that from the entry to points ahead of it
+AHEAD_COSINE = 0.98
+MAX_HEADING_DEG = 45.0  # largest angle (degrees) between the entry direction and the chord of the centreline
+# relative difference of a curve's span from the depth below which another unit explains their ratio
 UNIT_TOLERANCE = 0.25
 
 

@@ -43,7 +43,7 @@ def find_needle_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
             )
 
 
-ASSUMED = "assumed at the import"  # in the origin of a rigidity
+ASSUMED = "assumed at the import"  # words in the origin of a rigidity that was assumed
 
 
 def describe_rigidity(needle: NeedleRecord, assumed: Container[str]) -> str:

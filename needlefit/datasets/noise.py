@@ -12,9 +12,10 @@ from needlefit.geometry.curves import COMPARISON_POINTS, Quantity, compare_curve
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import METRICS, list_metrics
 
-# Mean length of a 3-D normal vector of unit standard deviation per axis.
+# mean length of a 3-D normal vector of unit standard deviation per axis
 MEAN_NORM_PER_SD = math.sqrt(8 / math.pi)
-CUT_TOLERANCE_MM = 1e-3  # a curve that begins this near to the plane of first contact, mm, was cut there
+# largest distance (mm) from the plane of first contact at which a curve begins that was cut there
+CUT_TOLERANCE_MM = 1e-3
 # Mean error over draws of the stated noise, by metric; NaN where a dataset states no noise.
 NoiseFloor = Mapping[str, float]
 

@@ -13,12 +13,15 @@ from needlefit.datasets.points import find_rounding
 from needlefit.geometry.neighbours import leave_one_out
 from needlefit.project.result_warnings import ResultWarning
 
-#: standard deviations beyond which a point or a needle is named: of 1e6 normal ones 0.6 are, so that no
-#: dataset has one by chance; benchmarks/mistakes.py counts those of sound needles
+#: number of standard deviations beyond which a point or a needle is named: of 1e6 normal ones 0.6 are, so
+#: that no dataset has one by chance; benchmarks/mistakes.py counts those of sound needles
 OUTLIER_SD = 5.0
-MIN_SCATTER_MM = 0.01  #: SD of points that is always allowed for: what a cubic misses of a bent needle
-MIN_CURVE_POINTS = 6  #: of fewer points none has the four neighbours of a cubic, and one more
-#: of a curve's points, or of the needles; if more are off, the curve is rough, or the model does not fit
+#: smallest SD of points (mm) that is assumed: it allows for what a cubic misses of a bent needle
+MIN_SCATTER_MM = 0.01
+#: smallest number of points of a curve that are checked: the four neighbours of a cubic, and two more
+MIN_CURVE_POINTS = 6
+#: largest fraction of points of a curve, or of needles, that are named; if more are off, the curve is rough,
+#: or the model does not fit
 MAX_OUTLYING_PART = 0.25
 
 

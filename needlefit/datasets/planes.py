@@ -21,7 +21,9 @@ from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 
-MIN_TWIST = 0.05  #: of tips out of the planes of their curves, as part of the deflection, rms
+#: smallest distance of tips from the planes of their curves that counts, as a fraction of the deflection
+#: (rms)
+MIN_TWIST = 0.05
 
 
 def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:

@@ -12,11 +12,11 @@ from needlefit.datasets.faults import Fault
 from needlefit.errors import DataError
 from needlefit.geometry.measured_curve import MeasuredCurve, measure_curve
 
-MAX_COORDINATE = 1e6  # no number of a dataset is greater: a kilometre in mm
-MIN_POINTS = 5  # fewer points are no curve
-# Steps to which coordinates are rounded, mm, the coarsest first.
+MAX_COORDINATE = 1e6  # largest number of a dataset: a kilometre in mm
+MIN_POINTS = 5  # smallest number of points of a curve
+# steps (mm) to which coordinates are rounded, the coarsest first
 ROUNDING_STEPS_MM = (10.0, 5.0, 2.0, 1.0, 0.5, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
-ROUNDING_TOLERANCE = 1e-6  # of a coordinate over its step, from a whole number
+ROUNDING_TOLERANCE = 1e-6  # largest distance (mm) of rounded coordinates from a whole multiple of the step
 
 
 @dataclass(frozen=True)

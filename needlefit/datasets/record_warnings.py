@@ -29,14 +29,15 @@ from needlefit.project.unit_warnings import (
 from needlefit.schemas.dataset import DatasetRecord, needle_key
 from needlefit.schemas.mapping import MappingRecord
 
-PLACEHOLDER = "TO FILL IN"  # marks values that a template cannot know
-MAPPING_FILE = "mapping.toml"  # beside dataset.toml: how an import read its files
+PLACEHOLDER = "TO FILL IN"  # mark of values that a template cannot know
+MAPPING_FILE = "mapping.toml"  # file beside dataset.toml that states how an import read its files
 
-MAX_ROLL_SD_DEG = 45.0  #: SD of a roll beyond which nothing is known of it: a uniform one has 104
-#: part of the letters of two names that match, of one that was mistyped: all but one of seven
+MAX_ROLL_SD_DEG = 45.0  #: largest SD of a roll (degrees) that means anything: a uniform one has 104
+#: smallest fraction of matching letters of two names of which one was mistyped: all but one of seven
 MIN_ALIKE = 0.85
-MIN_LETTERS = 3  #: shorter names are labels
-MAX_NOISE_PART = 0.5  #: SD of points over the largest deflection: beyond it no needle bends by more than 2 SD
+MIN_LETTERS = 3  #: smallest number of letters of a name that may be mistyped: shorter names are labels
+#: largest SD of points over the largest deflection: beyond it no needle bends by more than 2 SD
+MAX_NOISE_PART = 0.5
 
 
 def read_assumed(record: DatasetRecord, file: Path) -> dict[str, str]:

@@ -19,10 +19,13 @@ from needlefit.project.result_warnings import ResultWarning
 #: plausible SDs of points, registration and entry pose, mm: a smaller one was written in another unit (the
 #: best instruments resolve micrometres), and with a greater one curves cannot be compared
 SD_MM = (5e-4, 5.0)
-#: of points about their curves, over the stated SD, that does not contradict it: least and most
+#: scatter of points about their curves over the stated SD that does not contradict it: smallest and largest
 SCATTER_RATIOS = (1 / 3, 2.0)
-MIN_AXIS_POINTS = 20  #: of fewer points the scatter along an axis is known to worse than a sixth
-AXIS_COSINE = 0.9  #: least, between an axis and the plane across a needle in which points show their scatter
+#: smallest number of points whose scatter along an axis is computed: of fewer it is known to worse than a
+#: sixth
+MIN_AXIS_POINTS = 20
+#: smallest cosine between an axis and the plane across a needle in which points show their scatter
+AXIS_COSINE = 0.9
 
 
 def measure_scatter(insertion: Insertion) -> float:

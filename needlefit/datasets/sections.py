@@ -23,15 +23,15 @@ from needlefit.geometry.smoothing_spline import (
 from needlefit.project.toml import dumps, load, locate_key
 from needlefit.schemas.dataset import DatasetRecord, SectionsRecord
 
-SECTIONS_PATTERN = "sections/{id}.toml"
+SECTIONS_PATTERN = "sections/{id}.toml"  # place of the cross-sections of an insertion in the dataset's folder
 
-# How far the tip of the spline through the sections may be from that of the centreline: the sum of
-MAX_TIP_SDS = 5.0  # its standard deviations
-MAX_TIP_MM = 0.05  # mm, for points stored with few digits
-# Largest SD of a Gaussian, as part of the length compared: four SDs then reach over the whole needle.
+# largest distance of the tip of the spline through the sections from that of the centreline, in SDs
+MAX_TIP_SDS = 5.0
+MAX_TIP_MM = 0.05  # distance (mm) that is allowed besides, for points stored with few digits
+# largest SD of a Gaussian, as a fraction of the compared length: four SDs then reach over the whole needle
 MAX_WIDTH_FRACTION = 0.25
-LENGTH_DIGITS = 5  # of mm, behind the point
-WEIGHT_DIGITS = 6  # of weights and deviations
+LENGTH_DIGITS = 5  # number of decimals of lengths in mm
+WEIGHT_DIGITS = 6  # number of decimals of weights and deviations
 
 
 def find_sections(

@@ -95,8 +95,8 @@ def _require_known(kind: str, wanted: Iterable[str], available: Iterable[str]) -
         )
 
 
-MIN_GROUPS = 5  # least number of groups from which the scatter between groups is estimated
-ENTRY_DECIMALS = 3  # to which places, mm, and unit directions of one entry agree
+MIN_GROUPS = 5  # smallest number of groups from which the scatter between groups is estimated
+ENTRY_DECIMALS = 3  # decimals to which places (mm) and unit directions of one entry agree
 
 
 def group_independent(holes: Sequence[str], specimens: Sequence[str]) -> tuple[str, ...]:

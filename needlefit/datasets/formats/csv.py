@@ -20,13 +20,14 @@ from needlefit.errors import DataError
 from needlefit.project.input_files import read_text
 
 MAX_TABLE_BYTES = 64 * 2**20  # largest file of a table (bytes)
-# A table beyond these would take more than a gigabyte of memory.
+# limits of a table: one beyond them would take more than a gigabyte of memory
 MAX_COLUMNS = 1000  # largest number of columns
 MAX_CELLS = 4_000_000  # largest number of cells
 MAX_SHOWN_CHARS = 60  # longest part of a cell in a message (characters)
 MAX_SHOWN_COLUMNS = 30  # largest number of columns in a message
 _NAME = re.compile(r"[^\W\d][\w .()\[\]/%^-]{0,39}")  # what may be the name of a column
-MAX_LISTED_CELLS = 5  # number of bad cells of a column that are listed one by one; the rest is counted
+# largest number of bad cells of a column that are listed one by one; the rest is counted
+MAX_LISTED_CELLS = 5
 MISSING_COLUMN_FIX = "add it, or rename a column; dataset.toml can name it under `columns`"
 OTHER_DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 

@@ -22,7 +22,7 @@ from needlefit.geometry.frames import PatientSystem, normalize, to_lps
 from needlefit.project.input_files import read_json, read_once, read_text
 from needlefit.project.units import UNITS_MM
 
-# What Slicer itself writes: an identifier, no address.
+# schema that Slicer itself writes: an identifier, no address
 SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     "markups-schema-v1.0.3.json#"

@@ -32,7 +32,7 @@ from needlefit.schemas.mapping import TableRecord
 
 MAX_HEADER_ROWS = 6  # largest number of rows of headers
 SAMPLE_ROWS = 300  # number of rows by which separator and decimal sign are found
-SCORE_OF_NUMBER = 5  # of a number, or of a known header in each row below it; a cell costs 2
+SCORE_OF_NUMBER = 5  # score of a number, or of a known header in each row below it; a cell costs 2
 _SEPARATORS = (";", "\t", ",", " ")  # in the order in which equally good ones are taken
 # Numbers in which a sign parts thousands, by their decimal sign: what is no other number.
 _GROUPED = {

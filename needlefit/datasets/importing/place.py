@@ -23,7 +23,7 @@ from needlefit.schemas.scene import NeedleRecord
 MIN_NEEDLE_GPA = 1.0  # smallest modulus (GPa) that can be that of a needle
 MIN_NEEDLE_MM = 150.0  # smallest length (mm) that is assumed of a needle
 BEYOND_DEPTH_MM = 50.0  # length (mm) by which the assumed needle is longer than the greatest depth
-MAX_CAST_RATIO = 1.25  # of the depths of one boundary in specimens that were made alike
+MAX_CAST_RATIO = 1.25  # largest ratio of the depths of one boundary in specimens that were made alike
 
 
 class ImportPlan(CurveAnswers):

@@ -6,7 +6,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.observations import HeldObservation
 
-CURVE_POINTS = 101  # of the curve that curvatures give
+CURVE_POINTS = 101  # number of points of the curve that curvatures give
 
 
 def integrate_curvature(row: InsertionRow) -> Floats:

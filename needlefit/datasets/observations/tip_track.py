@@ -30,9 +30,10 @@ OPTIONAL_TRACK_COLUMNS = {
     **{"bevel_side": 1.0, "bevel_roll_deg": 0.0, "valid": 1.0, POINT_SD_COLUMN: np.nan},
 }
 NAME_COLUMNS = (NEEDLE_COLUMN, SETUP_COLUMN, HOLE_COLUMN)  # one name for all readings of a run
-# Least number of readings of a run: shift and slope take two, and a bend needs more than one.
-MIN_READINGS = 5  # at an import fewer depths of one hole are insertions of their own
-MAX_STEP_MM = 100.0  # greatest distance of two readings, mm; a larger one was written in another unit
+# smallest number of readings of a run: shift and slope take two, and a bend needs more than one. Fewer depths
+# of one hole are insertions of their own at an import.
+MIN_READINGS = 5
+MAX_STEP_MM = 100.0  # largest distance of two readings (mm); a larger one was written in another unit
 
 
 class TipReadings(NamedTuple):

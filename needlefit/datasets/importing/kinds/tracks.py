@@ -30,8 +30,8 @@ from needlefit.geometry.frames import normalize, to_unit
 
 # Tracks of one session are usually of one specimen; a new one would be predicted less well.
 TRACK_SPECIMEN = ("specimen1", "all runs into one; specimen=each if every run had a specimen of its own")
-MARGIN_FOR = "the error of a reading"
-PLACING_PART = 1 / 3  # fraction of the shallowest run whose readings place a run in the tracker's frame
+MARGIN_FOR = "the error of a reading"  # words for what the margin of a study is
+PLACING_PART = 1 / 3  # fraction of the shallowest run whose readings register a run in the tracker's frame
 MIN_GUIDE_PART = 0.5  # smallest fraction of a guide's motion that is used, where some axes are not stated
 MIN_BEVEL_DEG = 60.0  # smallest angle (degrees) from the insertion to the direction that bevels face
 #: largest step back of a tip, in its SD, that is noise: 5 SD of the difference of two readings
@@ -306,7 +306,8 @@ def is_guided(curve: ImportedCurve) -> bool:
     return curve.guide is not None and bool(np.ptp(curve.guide[:, :2], axis=0).max() >= GUIDE_STILL_MM)
 
 
-MIN_SIGNS = 2  # of depths that differ, times that differ and a column of a tip: so many make a track
+# smallest number of signs of a track, of three: depths that differ, times that differ, a column of a tip
+MIN_SIGNS = 2
 
 
 def propose_tracks(draft: TableDraft, is_stated: bool) -> dict[str, Columns]:
