@@ -10,7 +10,8 @@ from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.schemas.names import file_name_fault, name_fault
 
 Compared = Literal["plane", "space"]  #: in their planes, or in space
-DIRECTIONS: dict[Compared, int] = {"plane": 1, "space": 2}  #: deflections of a point that are compared
+#: number of a point's deflections that are compared
+DIRECTIONS: dict[Compared, int] = {"plane": 1, "space": 2}
 
 
 class Record(BaseModel):
@@ -64,7 +65,7 @@ class FileRecord(Record):
         return schema
 
 
-MISSING_KEY = "missing_key"  #: type of the error of a key that is required by the value of another one
+MISSING_KEY = "missing_key"  #: type of the error of a key that the value of another key requires
 
 
 def missing_key(*location: str) -> PydanticCustomError:
@@ -94,7 +95,7 @@ FileName = Annotated[str, AfterValidator(_check_file_name)]  #: a name that file
 Row4 = tuple[float, float, float, float]
 Rows = tuple[Row4, Row4, Row4]
 
-#: greatest deviation of a rotation's columns from unit length and from right angles
+#: largest deviation of a rotation's columns from unit length and from right angles
 MAX_ROTATION_DEVIATION = 1e-6
 
 

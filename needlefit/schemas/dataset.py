@@ -29,10 +29,9 @@ class FrameRecord(Record):
     rows of four."""
 
 
-SESSION_SLOPE_SD_DEG = (
-    11.459  #: usual SD of the slope of a tracker's frame, 0.2 rad: registrations err by less
-)
-MIN_SD_MM = 1e-6  #: of a noise that is stated: covariances of less cannot be inverted
+#: usual SD of the slope of a tracker's frame (degrees), 0.2 rad: registrations err by less
+SESSION_SLOPE_SD_DEG = 11.459
+MIN_SD_MM = 1e-6  #: smallest SD (mm) of a stated noise: covariances of less cannot be inverted
 
 
 class NoiseRecord(Record):
@@ -108,7 +107,7 @@ _OPERATOR_KEYS: dict[Operator, tuple[tuple[str, ...], ...]] = {
     "unknown": (("bias_sd_mm", "bias_length_mm"),),
 }
 
-MIN_SECTIONS, MAX_SECTIONS = 8, 5000  #: cross-sections of one needle
+MIN_SECTIONS, MAX_SECTIONS = 8, 5000  #: smallest and largest number of cross-sections of one needle
 
 Values = Annotated[tuple[float, ...], Field(min_length=MIN_SECTIONS, max_length=MAX_SECTIONS)]
 

@@ -128,4 +128,5 @@ def spell_parameter(name: str) -> str:
     return _PRINTED_NAMES.get(name, f"{name}_pa" if re.fullmatch(r"mu\d+", name) else name)
 
 
-MIN_CUT_ANGLE_DEG, MAX_CUT_ANGLE_DEG = 0.01, 44.0  #: widest bounds of an angle that takes the place of b
+#: widest bounds of an angle (degrees) that takes the place of b
+MIN_CUT_ANGLE_DEG, MAX_CUT_ANGLE_DEG = 0.01, 44.0

@@ -10,7 +10,8 @@ from needlefit.errors import ConfigError
 
 FORMULA_STARTS = frozenset("=+-@")  #: what begins a formula in a spreadsheet
 
-MAX_NAME_BYTES = 200  #: A file system takes 255 bytes, and what is written of a name has endings
+#: largest size of a name (bytes): a file system takes 255, and what is written of a name has endings
+MAX_NAME_BYTES = 200
 
 EXPECTED_NAME = "a name without control characters that does not begin with =, +, - or @"
 EXPECTED_FILE_NAME = f"{EXPECTED_NAME}, no / or \\: it names files"

@@ -18,12 +18,12 @@ from needlefit.schemas.limits import (
     MIN_ELEMENT_MM,
 )
 
-#: what a guide may be called: a bare TOML key that is no number
+#: pattern of a guide's name: a bare TOML key that is no number
 GUIDE_NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_-]*$"
 
 
 _TWO_BEVELS = "side and roll_deg both state where the bevel faces: give one of the two"
-CUT_ANGLE_LIMIT_DEG = 45.0  #: angles of the cut to the needle's tangent are below it
+CUT_ANGLE_LIMIT_DEG = 45.0  #: angle (degrees) of the cut to the needle's tangent below which all angles are
 
 
 class GuideRecord(Record):
