@@ -11,9 +11,10 @@ import numpy as np
 
 from needlefit.arrays import Floats
 
-QUANTILES = (0.025, 0.5, 0.975)  #: pointwise, of the curves: their distances from the median are the scale
-DRAWN_CURVES = 2000  #: curves that are drawn, at least, where errors stand about each draw
-TINY_MM = 1e-9  #: curves spread that are as close as this do not
+#: probabilities of the pointwise quantiles of curves, whose distances from the median are the scale
+QUANTILES = (0.025, 0.5, 0.975)
+DRAWN_CURVES = 2000  #: smallest number of curves that are drawn, where errors stand about each draw
+TINY_MM = 1e-9  #: spread (mm) of curves that counts as none
 
 
 @dataclass(frozen=True)

@@ -56,15 +56,16 @@ from needlefit.schemas.run_metadata import DepthMetadata, DoubtMetadata
 # medium differ besides by nature, by a spread that they show themselves.
 
 
-MIN_NEEDLES = 4  #: from so many on one is predicted from the others; parameters take up what fewer show
+#: smallest number of needles of which one is predicted from the others; parameters take up what fewer show
+MIN_NEEDLES = 4
 #: SDs of ln moduli between needles: from one block of gel to biological tissue. The evidence of the needles
-#: weighs them; benchmarks/mistakes.py shows that with these no sound set is accused
+#: weights them; benchmarks/mistakes.py shows that with these no set without mistakes is warned about.
 SPREADS = (0.03, 0.1, 0.2, 0.4)
 #: SD of ln b between needles over that of their moduli: deflections grow with b, and with mu^(1/4) on an
 #: elastic foundation
 BEVEL_PART = 1 / 4
-QUICK_STARTS = 3  #: beside the middle of the prior, of a quick fit
-QUICK_EVALUATIONS = 60  #: of each search
+QUICK_STARTS = 3  #: number of starts of a quick fit, beside the middle of the prior
+QUICK_EVALUATIONS = 60  #: largest number of evaluations of each search of a quick fit
 
 
 class Blocks(NamedTuple):
@@ -223,8 +224,8 @@ def measure_deviations(blocks: Blocks, theta: Floats, predicted: Prediction) -> 
 # way toward the bevels, another boundary may: that is asked too, and not named.
 
 
-#: least shift of a boundary that is named: beside one a needle bends over (EI / mu)^(1/4), 6 to 15 mm, and an
-#: error of the model looks like a shift by a part of it
+#: smallest shift (mm) of a boundary that is named: beside one a needle bends over (EI / mu)^(1/4), 6 to 15
+#: mm, and an error of the model looks like a shift by a part of it
 MIN_SHIFT_MM = 5.0
 
 
@@ -325,7 +326,8 @@ def list_boundary_shifts(problem: Problem) -> Iterator[Change]:
 
 # ---- needles that a fit to the others does not predict
 
-#: by so many, at most, it is sought what happened to all alike: eight of benchmarks/mistakes.py show it
+#: largest number of needles by which a change of all alike is searched: eight needles of
+#: benchmarks/mistakes.py show it
 COMMON_NEEDLES = 30
 
 
@@ -467,7 +469,8 @@ def _describe(
 
 # ---- whether the data would show a boundary at another depth, and which modulus leans on it
 
-STEP_MM = 1.0  #: of a boundary for derivatives: that of constraint points, between which they jump
+#: step (mm) of a boundary for derivatives: the spacing of constraint points, between which they jump
+STEP_MM = 1.0
 
 
 def examine_depths(problem: Problem, theta: Floats) -> list[DepthMetadata]:

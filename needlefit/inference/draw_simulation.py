@@ -35,8 +35,8 @@ from needlefit.mechanics.batch import (
 from needlefit.mechanics.scene import Scene
 from needlefit.schemas.medium import MediumRecord
 
-PATH_POINTS = 31  #: points of a needle among which its crossings are looked for
-BEYOND_TIP_MM = 10.0  #: length of a path beyond the tip, mm: farther than boundaries err
+PATH_POINTS = 31  #: number of points of a needle among which its crossings are looked for
+BEYOND_TIP_MM = 10.0  #: length (mm) of a path beyond the tip: farther than boundaries err
 #: errors of the entry that draws have: the middles of equal parts of a normal distribution, of unit variance
 ENTRY_ERRORS = ndtri((np.arange(8) + 0.5) / 8)
 ENTRY_ERRORS /= ENTRY_ERRORS.std()

@@ -16,7 +16,7 @@ from needlefit.arrays import Floats
 
 Counts = NDArray[np.int64]
 
-BISECTIONS = 40  #: bisections of the bracket of the pointwise probability, in its logarithm
+BISECTIONS = 40  #: number of bisections of the bracket of the pointwise probability, in its logarithm
 
 
 def _tabulate_cdf(trials: int, probability: Floats) -> Floats:

@@ -49,13 +49,13 @@ from needlefit.project.tasks import TaskStop
 # stated error explains, but not what all share. In both the needles are linear in theta about the best point.
 
 
-REPLICATES = 200  #: of each bootstrap
-PROBABILITY = 0.95  #: of the quantile of D
-STATIONS = 26  #: compared points of an insertion that a replicate has, of 101
-REPLICATE_EVALUATIONS = 100  #: most evaluations of a replicate's search
+REPLICATES = 200  #: number of replicates of each bootstrap
+PROBABILITY = 0.95  #: probability of the quantile of the replicates' excesses that is the tolerance
+STATIONS = 26  #: number of compared points of an insertion in a replicate, of 101
+REPLICATE_EVALUATIONS = 100  #: largest number of evaluations of a replicate's search
 REPLICATE_ACCURACY = 1e-4  #: relative tolerance of a replicate's search
-MIN_RELATIVE_TOLERANCE = 0.01  #: smallest tolerance, as a part of the least objective
-MIN_TOLERANCE_MM = 0.002  #: mm, the same
+MIN_RELATIVE_TOLERANCE = 0.01  #: smallest tolerance, as a fraction of the least objective
+MIN_TOLERANCE_MM = 0.002  #: smallest tolerance (mm), where that fraction is less
 
 
 def find_search_tolerance(objective: float) -> float:
@@ -226,17 +226,19 @@ def _interpolate(places: Floats, along: Floats, heights: Floats) -> Floats:
 
 # ---- the ranges within the tolerance
 
-MAX_ROUNDS = 5  #: of searches, at most: each begins at the ends that the one before found
-APART = 0.5  #: of a logarithm or an alpha: of points nearer one another one begins searches
-MAX_STEPS = 24  #: evaluations of f with derivatives, at most, of one end from one start
-SLACK = 0.02  #: of the tolerance, by which f may exceed the limit at an end
-#: of the tolerance, by which f may exceed the limit on the way: later steps lead back. No step is taken that
-#: leads neither farther nor back.
+MAX_ROUNDS = 5  #: largest number of rounds of searches: each begins at the ends of the one before
+APART = 0.5  #: difference of a logarithm or an alpha below which only one of two points begins searches
+MAX_STEPS = 24  #: largest number of evaluations of f, with derivatives, of one end from one start
+SLACK = 0.02  #: largest excess of f over the limit at an end, as a fraction of the tolerance
+#: largest excess of f over the limit on the way, as a fraction of the tolerance: later steps lead back. No
+#: step is taken that leads neither farther nor back.
 MAX_EXCESS = 1.0
-SMALL_EXCESS = 0.1  #: of the tolerance, up to which the next step may be twice as long
-#: of theta_k (of a logarithm: a factor of 1.01), below which steps end, and a bound is reached
+#: largest excess, as a fraction of the tolerance, after which the next step may be twice as long
+SMALL_EXCESS = 0.1
+#: smallest progress of theta_k (of a logarithm: a factor of 1.01): with less, steps end, and a bound is
+#: reached
 MIN_PROGRESS = 0.01
-EXAMINED_DRAWS = 64  #: draws of the posterior, at most, of which f is evaluated
+EXAMINED_DRAWS = 64  #: largest number of draws of the posterior of which f is evaluated
 
 
 @dataclass(frozen=True)

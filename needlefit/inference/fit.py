@@ -20,8 +20,9 @@ from needlefit.schemas.recipe import ObjectiveName
 
 INTERRUPTED = "interrupted"
 
-BEHIND = "behind"  #: of a start that was not continued after its approach
-MET_BY_PROFILE = "profile"  #: of a start that stands for a better point, which the profiles about the fit met
+BEHIND = "behind"  #: status of a start that was not continued after its approach
+#: status of a start that stands for a better point, which the profiles about the fit met
+MET_BY_PROFILE = "profile"
 #: reasons to end after which no further gain is expected
 CONVERGED_REASONS = ("tolerance", "bound", "flat", "roundoff")
 
@@ -137,7 +138,7 @@ def half_square(residuals: Floats) -> float:
         return 0.5 * float(residuals @ residuals)
 
 
-FIRST_RADIUS = 2.0  #: longest first step along any parameter: of a logarithm, or of a shape parameter
+FIRST_RADIUS = 2.0  #: largest first step along any parameter: of a logarithm, or of a shape parameter
 
 
 class SearchEnded(Exception):  # noqa: N818  (no error: the way out of a search)

@@ -87,8 +87,8 @@ def stack_values(
     return drawn.stack(path_angle=medium.advance == "path_angle")
 
 
-DEPTH_TOLERANCE_MM = 1e-9  #: mm; depths closer than this are one
-#: constraint points that a moved guide must have between two readings: they tell where the tip stood
+DEPTH_TOLERANCE_MM = 1e-9  #: difference (mm) below which two depths are one
+#: smallest number of constraint points of a moved guide between two readings: they show where the tip stood
 MIN_CONSTRAINT_POINTS = 2
 
 
@@ -302,7 +302,8 @@ def make_batch(
     return Batch(needle, tissue, steps, make_options(medium), boundaries=boundaries, **stacked)
 
 
-GAIN_STEP = 0.1  #: part of a move of the guide by which it is changed to simulate its effect, which is linear
+#: fraction of the guide's moves by which they are changed to simulate their effect, which is linear
+GAIN_STEP = 0.1
 
 
 def scale_moves(insertion: Insertion, factor: float) -> Iterator[Insertion]:
@@ -526,10 +527,11 @@ def select_layer_draws(
 
 Layers = tuple[Floats, tuple[int, ...]]
 
-CROSSING_TOLERANCE_MM = 1e-3  #: crossings that move by less, mm, stand still
-MAX_ROUNDS = 30  #: rounds in which they must
-HALVED_ROUNDS = 10  #: rounds after which each moves them only half way
-MAX_DRAWN_LAYERS = 32  #: errors drawn for an insertion, so that what a draw is does not depend on its layers
+CROSSING_TOLERANCE_MM = 1e-3  #: movement (mm) of crossings below which they stand still
+MAX_ROUNDS = 30  #: largest number of rounds until crossings stand still
+HALVED_ROUNDS = 10  #: number of rounds after which each moves crossings only half way
+#: number of errors drawn for an insertion, so that a draw does not depend on the number of layers
+MAX_DRAWN_LAYERS = 32
 
 
 def with_planned_layers(

@@ -16,16 +16,16 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.layers import find_length_tolerance
 from needlefit.inference.likelihood.nodes import enforce_order
 
-#: log odds from which on something happened to a needle: 150 are very strong evidence (Kass and Raftery). Of
+#: smallest log odds that something happened to a needle: 150 are very strong evidence (Kass and Raftery). Of
 #: 101 sound sets of benchmarks/mistakes.py none has more than -0.9; of 17 needles scaled or turned 16 have 12
 HAPPENED_LOG_ODDS = math.log(150.0)
-#: distance within which a needle lies as predicted: one of 40 sound ones is farther
+#: largest distance, in SDs, within which a needle lies as predicted: one of 40 sound ones is farther
 PREDICTED_SD = 2.0
-#: what a number costs, Occam's factor: one that is fitted is known to about 1 % of its range
+#: logarithm of the odds that a fitted number costs, Occam's factor: it is known to about 1 % of its range
 LOG_FITTED = math.log(100.0)
-START_SIZES = 7  #: from which the search of a size begins, over its range
-SEARCH_STEPS = 5  #: from there, by parabolas
-SIZE_TOLERANCE = 1e-3  #: of a size, as part of its range
+START_SIZES = 7  #: number of sizes, over the range, from which the search of a size begins
+SEARCH_STEPS = 5  #: number of steps of that search, by parabolas
+SIZE_TOLERANCE = 1e-3  #: tolerance of a size, as a fraction of its range
 IN_PLANE, ASIDE = 1, 2  #: axes of a needle's frame across it: in the plane of its bevel, and out of it
 
 

@@ -24,8 +24,8 @@ from needlefit.inference.baselines import BASELINES, Baseline
 from needlefit.inference.likelihood.nodes import NodeGroup
 from needlefit.inference.likelihood.observation import Observation
 
-SHIFT_SD_MM = 100.0  #: prior deviation of a shift, mm: no reading lies as far from another
-MIN_TUNED_RUNS = 4  #: runs from whose scatter the slope of a further one is estimated
+SHIFT_SD_MM = 100.0  #: prior SD of a shift (mm): no reading lies as far from another
+MIN_TUNED_RUNS = 4  #: smallest number of runs from whose scatter the slope of a further one is estimated
 
 
 class PredictedReadings(NamedTuple):

@@ -20,16 +20,18 @@ from needlefit.arrays import Floats
 from needlefit.inference.fit import EvaluationRecorder, SearchEnded, half_square
 from needlefit.inference.slsqp import FAILED
 
-#: relative change of the sum of squares, and of theta, under which it ends, unless more is negligible
+#: relative change of the sum of squares, and of theta, under which a search ends, unless more is negligible
 MIN_TOLERANCE = 1e-15
-#: about as large as half the squares are at their least: a part of them is negligible
+#: typical least value of half the squares: a change by a fraction of it is negligible
 TYPICAL_HALF_SQUARES = 1e2
 NEAR_TOLERANCE = 1e-2  #: relative change of the sum of squares by a step under which a minimum is near
-MAX_FAILED_STEPS = 3  #: Newton's steps in a row from which the sum of squares rises: there its method is left
-#: cosine between a step and the change of the gradient below which that gives no curvature along the step
+#: number of Newton's steps in a row that increase the sum of squares, after which the method is left
+MAX_FAILED_STEPS = 3
+#: smallest cosine between a step and the change of the gradient that gives a curvature along the step
 MIN_COSINE = 1e-6
-MAX_SIDES = 8  #: rounds in which it is sought which parameters lie at their bounds
-VALUE_ROUNDING = 1e-9  #: rise of the sum of squares, as a part of it, that may be rounding of the simulation
+MAX_SIDES = 8  #: largest number of rounds in which the parameters at their bounds are searched
+#: increase of the sum of squares, as a fraction of it, that may be rounding of the simulation
+VALUE_ROUNDING = 1e-9
 
 
 def run_least_squares(recorder: EvaluationRecorder, start: Floats) -> str:
@@ -180,13 +182,13 @@ class _ScipySteps:
         return self._found[1]
 
 
-#: largest gain of the value that a further step may promise; in units of the mean square where that is above
-#: 1, because rounding grows with it, or where nothing says what is negligible
+#: largest gain of the value that a further step may promise at a minimum; in units of the mean square where
+#: that is above 1, because rounding grows with it, or where nothing states what is negligible
 MAX_REMAINING_GAIN = 1e-6
-#: a further step that changes no parameter by more than this part of it promises nothing
+#: largest change of every parameter, as a fraction of it, by a further step that promises nothing
 NEGLIGIBLE_STEP = 1e-8
-#: a parameter whose whole scale moves the residuals by less than this part of them has no effect; neither has
-#: a combination of parameters whose effects cancel to this part of each
+#: fraction of the residuals below which a parameter has no effect, if its whole scale moves them by less;
+#: neither has a combination of parameters whose effects cancel to this fraction of each
 FLAT_FRACTION = 1e-8
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.schemas.recipe import WeightsRecord
 
-#: distance below which a distance counts as squared, mm: less than any measured centreline is known to
+#: distance (mm) below which a distance counts as squared: less than any measured centreline is known to
 SMOOTHING_MM = 1e-4
 
 

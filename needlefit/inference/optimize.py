@@ -46,8 +46,9 @@ from needlefit.project.processes import one_thread
 from needlefit.project.tasks import TaskStop
 from needlefit.schemas.recipe import ObjectiveName, RecipeRecord
 
-MIN_GAIN = 1e-4  #: gain that the linear problem promises, as a part of the sum, under which a search ends
-#: times the linear problem is reweighted: from kinks as wide as a typical distance to sharp ones
+#: smallest gain that the linear problem promises, as a fraction of the sum, with which a search goes on
+MIN_GAIN = 1e-4
+#: number of times the linear problem is reweighted: from kinks as wide as a typical distance to sharp ones
 REWEIGHTINGS = 5
 
 
@@ -127,13 +128,13 @@ def search(
     )
 
 
-#: most evaluations of an approach by least squares: one that needs more is left where it is
+#: largest number of evaluations of an approach by least squares: one that needs more is left where it is
 APPROACH_EVALUATIONS = 60
 #: largest misfit (sum of squares) of an end of the approach that is continued, in units of the best one: far
 #: from all needles a start crawls for hundreds of evaluations, and ends there
 MAX_MISFIT_RATIO = 5.0
-SAME_OBJECTIVE = 1e-3  #: difference of the easier goal up to which two ends are one
-SAME_THETA = 1e-2  #: and that of every parameter of theta
+SAME_OBJECTIVE = 1e-3  #: difference of the easier goal below which two ends are one
+SAME_THETA = 1e-2  #: difference of every parameter of theta below which they are
 
 
 def group_approaches(ends: Sequence[Start]) -> dict[int, int]:

@@ -26,9 +26,9 @@ from needlefit.schemas.medium import (
 )
 from needlefit.schemas.study import FitRecord
 
-#: of a modulus that is freed where no other one is free and untied
+#: bounds (Pa) of a modulus that is freed where no other one is free and untied
 MODULUS_BOUNDS_PA = (1e2, 1e9)
-#: of other parameters that are freed
+#: bounds of other parameters that are freed (mm, degrees)
 FREED_BOUNDS = {
     "bevel_mm": (1e-3, 0.5),
     "cut_angle_deg": (MIN_CUT_ANGLE_DEG, MAX_CUT_ANGLE_DEG),
@@ -197,9 +197,9 @@ def set_priors(medium: MediumRecord, priors: Mapping[str, MaterialRecord]) -> Me
     return medium
 
 
-#: a fixed alpha that a test identifies becomes free within this many standard deviations
+#: number of standard deviations within which a fixed alpha that a test identifies becomes free
 ALPHA_REACH_SD = 4.0
-TEST_LAW = "ogden"  #: the law that alpha and mu of a compression test belong to
+TEST_LAW = "ogden"  #: law that alpha and mu of a compression test belong to
 
 
 def set_material_prior(medium: MediumRecord, layer: str, material: MaterialRecord) -> MediumRecord:

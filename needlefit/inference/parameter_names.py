@@ -13,13 +13,16 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
 
-NOISE_SCALE = "noise_scale"  #: estimated factor on the SDs of the noise of the points; no medium has it
-BEVEL_SPREAD = "bevel_spread"  #: relative SD of b or θ between insertions, estimated; no medium has it
-#: least bevel of an insertion, as part of the mean: a normal distribution does not end at zero
+#: name of the estimated factor on the SDs of the noise of the points; no medium has it
+NOISE_SCALE = "noise_scale"
+#: name of the estimated relative SD of b or θ between insertions; no medium has it
+BEVEL_SPREAD = "bevel_spread"
+#: smallest bevel of an insertion over the mean: a normal distribution does not end at zero
 MIN_BEVEL_FACTOR = 0.05
 BEVEL_PARAMETERS = ("bevel_mm", "cut_angle_deg")  #: how strongly a needle steers; a medium has one of them
-NOISE_SCALE_BOUNDS = (0.1, 10.0)  #: of a scale that is estimated; its prior is flat in the logarithm
-BEVEL_SPREAD_BOUNDS = (0.01, 5.0)  #: in standard deviations of its half-normal prior
+#: bounds of an estimated scale of the noise; its prior is flat in the logarithm
+NOISE_SCALE_BOUNDS = (0.1, 10.0)
+BEVEL_SPREAD_BOUNDS = (0.01, 5.0)  #: bounds of the spread, in standard deviations of its half-normal prior
 HYPERPARAMETERS = (NOISE_SCALE, BEVEL_SPREAD)  #: of the likelihood: no simulated needle depends on them
 _NAME = re.compile(
     r"([a-z]+(?:_[a-z]+)*)[1-9]\d*(_pa)?|(?:bevel|guide_distance)_mm|cut_angle_deg|noise_scale|bevel_spread"

@@ -42,8 +42,8 @@ Status = Literal["free", "prior", "fixed", "tied"]
 #: factor, one standard deviation, by which moduli tied as one material differ where the tie states none; the
 #: layers of the synthetic dataset had no part in it: casts of one recipe differ by 10 to 20 % in stiffness
 MATERIAL_SPREAD = 1.2
-MAX_TISSUE_MU_PA = MAX_MU_MPA * 1e6  #: greatest modulus that is simulated, Pa
-MAX_TIE_SDS = 6.0  #: standard deviations of a tie beyond which a tied parameter is not searched
+MAX_TISSUE_MU_PA = MAX_MU_MPA * 1e6  #: largest modulus that is simulated (Pa)
+MAX_TIE_SDS = 6.0  #: number of standard deviations of a tie beyond which a tied parameter is not searched
 
 _TIE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[A-Za-z_]\w*)\s*")
 

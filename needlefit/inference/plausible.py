@@ -7,8 +7,8 @@ from needlefit.inference.parameter_names import BEVEL_PARAMETERS
 from needlefit.mechanics.published import read_cut_angles
 from needlefit.project.unit_warnings import MU_PA
 
-#: below the smallest published angle of a cut by which no bevel is found: those of stiff designs in
-#: benchmarks/mistakes.py lie 2 times below
+#: factor below the smallest published angle of a cut beyond which an angle is not plausible: the bevels of
+#: stiff designs in benchmarks/mistakes.py lie 2 times below
 MIN_CUT_FACTOR = 5.0
 
 

@@ -17,8 +17,8 @@ from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.inference.predictive_mixture import INTERVAL_PROBABILITIES
 from needlefit.inference.problem import Problem
 
-#: mm: half of the last digit that is printed of a needle. What moves it by less does not move it, and outside
-#: an interval by less it is inside
+#: half (mm) of the last digit that is printed of a needle: a smaller movement counts as none, and a point
+#: less far outside of an interval as inside
 PRINTED_MM = 0.005
 
 

@@ -28,8 +28,8 @@ from needlefit.schemas.medium import MediumRecord
 #: of each node of all insertions its points (B, K, 2), in space (B, K, 3), and their derivatives (..., P)
 NodePoints = list[tuple[Floats, Floats]]
 KnownPoints = dict[tuple[object, ...], NodePoints]  #: by the values, and where the points were read
-NEEDLES_AT_ONCE = 100_000  #: needles whose residuals are held at once
-DERIVATIVES_AT_ONCE = 40_000  #: the same with derivatives
+NEEDLES_AT_ONCE = 100_000  #: number of needles whose residuals are held at once
+DERIVATIVES_AT_ONCE = 40_000  #: number of needles whose residuals and derivatives are held at once
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,12 @@ from numpy.typing import ArrayLike
 from needlefit.arrays import Floats
 
 INTERVAL_PROBABILITIES = (0.50, 0.95)  #: probabilities of the central intervals that are reported
-#: draws, at most, whose pairs show how much the Gaussians add to the distances between draws
+#: largest number of draws whose pairs show how much the Gaussians add to the distances between draws
 PAIR_DRAWS = 125
-BRACKET_SD = 9.0  #: deviations beyond which a Gaussian has next to nothing: 1e-19 on each side
-TINY_MM = 1e-9  #: the bracket of a quantile has at least this width where draws leave nothing open
-#: of the search for a quantile, whose error after a step is about the square of that step
+BRACKET_SD = 9.0  #: number of deviations beyond which a Gaussian has next to nothing: 1e-19 on each side
+TINY_MM = 1e-9  #: smallest half width (mm) of the bracket of a quantile, where draws leave nothing open
+#: largest number of steps of the search for a quantile, and the last step in SDs: the error after a step is
+#: about its square
 MAX_STEPS, LAST_STEP_SD = 100, 1e-5
 
 
@@ -114,7 +115,7 @@ def crps(mixture: PredictiveMixture, measured: ArrayLike) -> Floats:
     return off - between / 2
 
 
-MEDIAN_STEPS = 60  #: of the search for a geometric median; each leaves about half of what is missing
+MEDIAN_STEPS = 60  #: number of steps of the search for a geometric median; each about halves the error
 
 
 def find_geometric_median(points: Floats) -> Floats:

@@ -95,7 +95,7 @@ class UniformRow:
         return math.log(self.mode) - rng.exponential(size=count)
 
 
-MAX_EXPONENT = 40.0  #: logarithm of a value over its mode, beyond any bounds
+MAX_EXPONENT = 40.0  #: largest logarithm of a value over its mode, beyond any bounds
 
 
 @dataclass(frozen=True)

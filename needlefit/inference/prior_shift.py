@@ -21,8 +21,9 @@ from needlefit.inference.parameter_names import NOISE_SCALE, to_coordinate
 from needlefit.inference.parameters import Parameters, Values
 from needlefit.inference.problem import Problem
 
-MAX_HIDDEN_SHIFT = 0.1  #: standard deviations of its error by which a held parameter may move a point
-#: of a likelihood: points are compared as they are stored, of needles as deep and bevels as large as stated
+#: shift of a point by a held parameter, in SDs of the point's error, below which the data show nothing of it
+MAX_HIDDEN_SHIFT = 0.1
+#: likelihood of points as they are stored, of needles as deep and bevels as large as stated
 POINTS_AS_STORED = {"depths": "fixed", "bevel_spread": 0.0, "measurement": "points"}
 
 

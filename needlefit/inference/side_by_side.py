@@ -22,7 +22,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Value = TypeVar("Value")
 
-MAX_SEARCHES = 16  #: searches that run side by side: two blocks of lanes
+MAX_SEARCHES = 16  #: largest number of searches that run side by side: two blocks of lanes
 
 _Function = Callable[[Floats, int], Sequence[Value]]  #: Thetas (B, P) and a number of threads -> B values
 

@@ -15,12 +15,13 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.inference.fit import EvaluationRecorder, SearchEnded
 
-FIRST_GRADIENT_STEP = 0.1  #: first step of a search by gradients, as a part of each parameter's range
-#: relative gain of a restarted gradient search that counts as none
+FIRST_GRADIENT_STEP = 0.1  #: first step of a search by gradients, as a fraction of each parameter's range
+#: smallest relative gain of a restarted gradient search that counts
 MIN_RELATIVE_GAIN = 1e-6
-#: shown to nlopt for a value that is not finite, until finite ones are known; then 2 * worst + 1 is
+#: value that nlopt gets in place of one that is not finite, until finite ones are known; then it gets 2 *
+#: worst + 1
 PENALTY = 1e3
-#: relative change of the value under which a search ends, as a part of the recipe's tolerance
+#: relative change of the value under which a search ends, as a fraction of the recipe's tolerance
 VALUE_TOLERANCE = 0.1
 
 
@@ -93,7 +94,7 @@ def _evaluate(recorder: EvaluationRecorder, theta: Floats, slope: Floats, span: 
     return value
 
 
-FAILED = "nlopt failed"  #: why a search ended in which nlopt gave up
+FAILED = "nlopt failed"  #: reason why a search ended in which nlopt gave up
 
 
 def _run(optimizer: "nlopt.opt", start: Floats) -> str:
@@ -109,7 +110,7 @@ def _run(optimizer: "nlopt.opt", start: Floats) -> str:
     return "tolerance"
 
 
-MAX_STEP_EVALUATIONS = 60  #: most evaluations of the excess in the search for one step
+MAX_STEP_EVALUATIONS = 60  #: largest number of evaluations of the excess in the search for one step
 
 
 def find_farthest_step(

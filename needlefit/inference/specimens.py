@@ -46,12 +46,14 @@ from needlefit.inference.sampling.importance import (
 from needlefit.inference.sampling.posterior import Posterior, thin_chains
 from needlefit.schemas.recipe import BetweenSpecimensRecord
 
-#: least and largest tau, in standard deviations of its half-normal prior
+#: smallest and largest tau, in standard deviations of its half-normal prior
 TAU_RANGE = (1e-3, 5.0)
 MAX_ATANH_CORRELATION = 6.0  #: bound of atanh rho
 MAX_LOGIT_SHARE = 8.0  #: bound of logit w
-PRIOR_DRAWS_AT_ONCE = 20_000  #: draws of the other priors, of which some are kept as the tip's has them
-MAX_REDRAWS = 100  #: times that a specimen outside the bounds is drawn again; then it is put on them
+#: smallest number of draws of the other priors, of which as many are kept as the tip's prior allows
+PRIOR_DRAWS_AT_ONCE = 20_000
+#: largest number of redraws of a specimen outside the bounds; after them it is put on the bounds
+MAX_REDRAWS = 100
 
 
 @dataclass(frozen=True)
@@ -188,7 +190,7 @@ def differentiate_log_tip(problem: Problem, theta: Floats) -> Floats:
     return slopes
 
 
-#: means of which densities of all kernels are held at once
+#: number of means whose densities of all kernels are held at once
 MEANS_AT_ONCE = 100
 
 
@@ -241,8 +243,9 @@ def make_specimen(draws: Floats) -> Specimen:
     return Specimen(mean + np.sqrt(1 - part) * (draws - mean), part * covariance)
 
 
-#: draws that stand for the posterior of a specimen. With 100, the SD of the mean of ln mu1 was 0.24 to 0.26
-#: for the example of docs/start.md, with one insertion in each specimen; with 400 and more, 0.29 to 0.33.
+#: number of draws that stand for the posterior of a specimen. With 100, the SD of the mean of ln mu1 was 0.24
+#: to 0.26 for the example of docs/start.md, with one insertion in each specimen; with 400 and more, 0.29 to
+#: 0.33.
 KERNELS_PER_SPECIMEN = 1000
 
 #: efforts of importance sampling of a population, tried in turn

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from needlefit.datasets.insertion import Insertion, Pose
     from needlefit.inference.likelihood.compared_points import Curve
 
-COEFFICIENT_LENGTH_MM = 100.0  #: scale of the coefficients of a curvature: c_k is of the size LENGTH^-(k + 1)
+#: length (mm) that scales the coefficients of a curvature: c_k is of the size LENGTH^-(k + 1)
+COEFFICIENT_LENGTH_MM = 100.0
 
 
 @dataclass(frozen=True)

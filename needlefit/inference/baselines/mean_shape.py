@@ -15,8 +15,9 @@ from needlefit.inference.baselines import Baseline
 from needlefit.inference.likelihood.compared_points import Curve
 from needlefit.inference.likelihood.observations import select_points
 
-CHORD_MM = 5.0  #: short beside the bends of needles, long beside the noise of their points
-STEP_MM = 0.25  #: step of the integration along the curve, mm
+#: length of a chord (mm): short beside the bends of needles, long beside the noise of their points
+CHORD_MM = 5.0
+STEP_MM = 0.25  #: step (mm) of the integration along the curve
 
 
 def average_turns(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> Floats:

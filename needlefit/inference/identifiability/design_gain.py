@@ -22,7 +22,7 @@ from needlefit.inference.likelihood.marginal import stack_residuals
 from needlefit.inference.likelihood.nodes import NodeGroup
 from needlefit.inference.problem import Problem
 
-#: part of a variance below which none falls, so that it stays positive in spite of rounding
+#: smallest fraction to which a variance falls, so that it stays positive in spite of rounding
 MIN_RELATIVE_VARIANCE = 1e-12
 
 

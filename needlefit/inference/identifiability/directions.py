@@ -12,11 +12,11 @@ from needlefit.inference.parameter_names import BEVEL_SPREAD, is_logarithmic
 
 #: SD of a combination's logarithm (of a sum with shape parameters) above which it is called nearly free
 NEARLY_FREE_SD = 0.5
-#: posterior SD / prior SD from which on the data add nothing to what ties, priors and bounds say
+#: smallest posterior SD over prior SD at which the data add nothing to ties, priors and bounds
 UNINFORMED_SD_RATIO = 0.9
-#: what is added to the words of such a direction
+#: words that are added to such a direction
 KNOWN_BY_PRIOR = ", by the stated ties, priors or bounds alone"
-MIN_RELATIVE_WEIGHT = 0.05  #: weights below this part of the largest are left out of the words
+MIN_RELATIVE_WEIGHT = 0.05  #: smallest weight, as a fraction of the largest, that is named in words
 
 
 @dataclass(frozen=True)
@@ -118,13 +118,15 @@ def _print_factor(sd: float) -> str:
 
 NORMAL_95_HALF_WIDTH_SD = 1.96  #: half width of a Gaussian 95 % interval, in standard deviations
 MAX_FACTOR = 2.0  #: largest factor between the ends of the 95 % interval of a determined modulus or length
-#: largest standard deviations, of a logarithm and of a shape parameter, of one called determined
+#: largest SD of the logarithm of a parameter called determined
 MAX_LOG_SD = math.log(MAX_FACTOR) / (2 * NORMAL_95_HALF_WIDTH_SD)
-MAX_SHAPE_SD = 0.5
-#: largest part of its prior's standard deviation of a parameter that the shapes, not the prior, determine
+MAX_SHAPE_SD = 0.5  #: largest SD of a shape parameter called determined
+#: largest posterior SD over prior SD of a parameter that the shapes, not the prior, determine
 MAX_SD_RATIO = 0.5
-BOUND_FRACTION = 1e-3  #: a parameter closer to a bound than this part of its range lies at it
-#: a 95 % interval that ends closer to a bound than this part of the bounds is cut off there
+#: distance from a bound, as a fraction of the range, below which a parameter lies at it
+BOUND_FRACTION = 1e-3
+#: distance of the end of a 95 % interval from a bound, as a fraction of the range, below which it is cut off
+#: there
 CUT_OFF_FRACTION = 0.01
 
 

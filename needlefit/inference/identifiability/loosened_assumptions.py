@@ -24,18 +24,18 @@ from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.inference.parameters import MATERIAL_SPREAD, Parameters, loosen_ties
 from needlefit.inference.problem import Problem
 
-#: length over which the model's error fades along the needle: about that of a layer
+#: length (mm) over which the model's error fades along the needle: about that of a layer
 MODEL_ERROR_LENGTH_MM = 15.0
-#: standard deviation of the model's error, as part of the rms deflection of the tips, at least: a fit takes
-#: up much of what its model misses, so that its residuals are too small to say
+#: smallest SD of the model's error, as a fraction of the rms deflection of the tips: a fit takes up much of
+#: what its model misses, so that its residuals are too small to show it
 MIN_MODEL_ERROR = 0.01
 
-#: assumptions without which a parameter is not determined
+#: words for assumptions without which a parameter is not determined
 MEAN_OF_SPECIMENS = "determined only as the mean of specimens, which differ"
 STATED_TIES = "determined only under the stated ties"
 NO_MODEL_ERROR = "determined only if the model has no error"
 
-LOOSENED = "ties loosened and a model error"
+LOOSENED = "ties loosened and a model error"  #: words for the analysis with loosened ties and a model error
 
 
 @dataclass(frozen=True)

@@ -26,9 +26,9 @@ from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.callbacks import Step, Stop, never_stop, no_step
 from needlefit.project.tasks import TaskStop
 
-#: a minimum is reached where a further step would lessen the sum of squares by less than this
+#: decrease of the sum of squares by a further step below which a minimum is reached
 MIN_GAIN = 1e-3
-MAX_EVALUATIONS = 40  #: evaluations after which a descent gives up
+MAX_EVALUATIONS = 40  #: largest number of evaluations of a descent
 
 
 @dataclass(frozen=True)
@@ -119,17 +119,17 @@ class ProfileSteps:
     min_gain: float = MIN_GAIN  #: fall of the sum of squares below which a point counts as minimised
 
 
-#: for a 95 % interval: far enough above its threshold to see where it is passed
+#: steps of a profile for a 95 % interval: far enough above its threshold to see where it is passed
 INTERVAL_STEPS = ProfileSteps(
     stop_deviance=1.5 * float(2 * gammaincinv(0.5, 0.95)), root_rise=0.8, min_gain=0.01
 )
-MAX_STEP_GROWTH = 3.0  #: a step is at most this times the one before
-MAX_STEP_FRACTION = 0.34  #: and at most this part of the parameter's range
-MIN_STEP_FRACTION = 1e-4  #: and at least this part of it
-MAX_SIDE_POINTS = 24  #: most points of one side
+MAX_STEP_GROWTH = 3.0  #: largest ratio of a step to the one before
+MAX_STEP_FRACTION = 0.34  #: largest step, as a fraction of the parameter's range
+MIN_STEP_FRACTION = 1e-4  #: smallest step, as a fraction of the parameter's range
+MAX_SIDE_POINTS = 24  #: largest number of points of one side
 #: largest jump of the root of the deviance beyond the expected one; above it other starts are tried too
 MAX_ROOT_JUMP = 1.0
-MIN_IMPROVEMENT = 5 * MIN_GAIN  #: a value is lower than another one if it is so by more than this
+MIN_IMPROVEMENT = 5 * MIN_GAIN  #: smallest difference by which a value counts as lower than another
 MAX_RESTARTS = 3  #: largest number of restarts of a profile after a better optimum was found
 
 
@@ -273,7 +273,7 @@ class _ProfileSide:
 End = Literal["closed", "bound", "lost"]
 
 DEVIANCE_95 = float(2 * gammaincinv(0.5, 0.95))  #: deviance at the ends of a 95 % interval, 3.84
-MIN_POINT_DISTANCE = 1e-6  #: points closer than this part of the range are one
+MIN_POINT_DISTANCE = 1e-6  #: distance of points, as a fraction of the range, below which they are one
 
 
 @dataclass(frozen=True)

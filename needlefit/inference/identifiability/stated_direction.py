@@ -11,7 +11,7 @@ from needlefit.inference.identifiability.information import cramer_rao, lineariz
 from needlefit.inference.parameter_names import HYPERPARAMETERS, is_logarithmic
 from needlefit.inference.problem import Problem
 
-DIRECTION_SD_DEG = 0.5  #: of a needle that is set by hand
+DIRECTION_SD_DEG = 0.5  #: SD of the direction (degrees) of a needle that is set by hand
 
 
 def predict_factors(problem: Problem, theta: Sequence[float]) -> dict[str, float]:

@@ -40,11 +40,11 @@ from needlefit.inference.identifiability.loosened_assumptions import (
 from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.inference.problem import Problem
 
-#: largest range among equal starts, in these standard deviations, of a parameter called determined
+#: largest range among equal starts, in posterior standard deviations, of a parameter called determined
 MAX_RANGE_SD = 4.0
-#: a start is within tolerance of the best if its log posterior is within this of the best one's
+#: largest difference of a start's log posterior from the best one's that is within tolerance
 LOG_POSTERIOR_TOLERANCE = 0.1
-MIN_NAMED_WEIGHT = 0.1  #: weight from which on a direction is named in the note of a parameter
+MIN_NAMED_WEIGHT = 0.1  #: smallest weight of a direction that the note of a parameter names
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from needlefit.schemas.base import Compared
 
 Curve = Callable[[Floats], Floats]
 
-#: part of the scored points, from the entry side, whose line is x in a free comparison
+#: fraction of the scored points, from the entry side, whose line is x in a free comparison
 ENTRY_SIDE_FRACTION = 0.2
 
 

@@ -20,15 +20,16 @@ from needlefit.datasets.insertion import Insertion, split_boundary_sd
 
 DepthTreatment = Literal["fixed", "linear"]
 
-DEPTH_STEPS_SD = (-1.0, 1.0)  #: where an uncertain depth is simulated besides as measured, in SDs
-# These stand in place of a layer where something else is shared:
+#: depths, in SDs from the measured one, at which an uncertain depth is simulated besides
+DEPTH_STEPS_SD = (-1.0, 1.0)
+#: numbers in place of a layer's, where something else is shared:
 FRAME = -1  #: the tracker's frame
 BEVEL = -2  #: the bevel of one insertion that was measured at several depths
 GROUP_SLOPE = -3  #: the slope of a group of runs
 CARRIED = -4  #: the share of the guide's displacement that the tissue follows in a set-up
-ROLL_STEP_DEG = 5.0  #: by which a bevel's roll is changed to simulate its effect, to both sides
-BEVEL_STEP = 0.1  #: part of the bevel's offset by which it is changed to simulate its effect, to both sides
-MIN_GAP_MM = 1e-3  #: smallest distance, mm, of moved boundaries from each other and from the entry
+ROLL_STEP_DEG = 5.0  #: change of a bevel's roll (degrees), to both sides, by which its effect is simulated
+BEVEL_STEP = 0.1  #: relative change of the bevel's offset, to both sides, by which its effect is simulated
+MIN_GAP_MM = 1e-3  #: smallest distance (mm) of moved boundaries from each other and from the entry
 
 
 @dataclass(frozen=True)

@@ -81,9 +81,9 @@ class Evaluator:
 
 #: log densities (W,) of thetas (W, P), -inf where there is none
 LogDensityFunction = Callable[[Floats], Floats]
-UNIFORM_PRECISION = 12.0  #: precision of a uniform distribution, by its width squared
-BOUND_MARGIN = 1e-3  #: a point at a bound is taken this part of the range inside
-DIFFERENCE_STEP = 0.1  #: of coordinates in which densities are about one wide, for second differences
+UNIFORM_PRECISION = 12.0  #: precision of a uniform distribution, times its width squared
+BOUND_MARGIN = 1e-3  #: distance from a bound, as a fraction of the range, to which a point at it is moved
+DIFFERENCE_STEP = 0.1  #: step of second differences, in coordinates in which densities are about one wide
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,7 @@ class WeightedDraws:
         return self.k <= MAX_PARETO_K and self.effective_sample_size >= self.min_ess
 
 
-#: independent draws that the weights must be worth for each of those taken without replacement
+#: smallest effective number of draws for each draw that is taken without replacement
 MIN_ESS_PER_DISTINCT_DRAW = 3.0
 
 
@@ -344,22 +344,23 @@ def _weigh(
     return WeightedDraws(thetas, density, *smooth_weights(heavy), min_ess, log_evidence, proposal)
 
 
-EM_STEPS = 6  #: steps of expectation and maximisation between rounds
-MIN_ESS_PER_COMPONENT = 12.0  #: independent draws per component that a flatter density is chosen by
-MIN_COMPONENTS = 2  #: of the fitted mixture
-DRAWS_PER_COMPONENT = 125  #: draws of one round for each
-MIN_ROUNDS = 3  #: no proposal has adapted before
-ADAPTED_ESS = 250.0  #: independent draws that those of all rounds are worth once one has
-MAX_TRIES = 50  #: tries for a draw within the bounds
-LAST_ESS_PER_COMPONENT = 30.0  #: independent draws for each component of the last proposal
-LAST_SHARE = 0.7  #: of its fitted part
-LAST_DRAWS = 4.0  #: the most draws of it, in parts of the independent ones wanted
-LAST_PROPOSALS = 3  #: the most
-DRAWS_AT_ONCE = 1000  #: draws of it between two looks at their weights
+EM_STEPS = 6  #: number of steps of expectation and maximisation between rounds
+#: effective number of draws for each component, by which a flatter density is chosen
+MIN_ESS_PER_COMPONENT = 12.0
+MIN_COMPONENTS = 2  #: smallest number of components of the fitted mixture
+DRAWS_PER_COMPONENT = 125  #: number of draws of one round for each component
+MIN_ROUNDS = 3  #: smallest number of rounds after which a proposal may count as adapted
+ADAPTED_ESS = 250.0  #: effective number of draws of all rounds from which on a proposal counts as adapted
+MAX_TRIES = 50  #: largest number of tries for a draw within the bounds
+LAST_ESS_PER_COMPONENT = 30.0  #: effective number of draws for each component of the last proposal
+LAST_SHARE = 0.7  #: share of the fitted part of the last proposal
+LAST_DRAWS = 4.0  #: largest number of draws of the last proposal, over the wanted effective number
+LAST_PROPOSALS = 3  #: largest number of last proposals
+DRAWS_AT_ONCE = 1000  #: number of draws of the last proposal between two checks of their weights
 WIDENING = 1.4  #: factor on the fitted scales, so that tails are reached
-WIDE_SHARE = 0.3  #: part of the first mixture that is wider, for ridges that bend away where they begin
-WIDE_SCALE = 3.0  #: how many times wider
-MIN_COVARIANCE_FRACTION = 1e-4  #: part of the draws' whole covariance that every component has at least
+WIDE_SHARE = 0.3  #: share of the first mixture that is wider, for ridges that bend away where they begin
+WIDE_SCALE = 3.0  #: factor by which that share is wider
+MIN_COVARIANCE_FRACTION = 1e-4  #: smallest covariance of a component, as a fraction of that of all draws
 
 
 def _fit_mixture(draws: WeightedDraws, rng: np.random.Generator, components: int) -> StudentMixture:
@@ -403,10 +404,11 @@ def _flatten_weights(draws: WeightedDraws, fewest: float) -> Floats:
     return weights
 
 
-#: a start that ended with a log density this much below the best one's found no mode
+#: largest difference of the log density of a start's end from the best one's with which it is a mode
 MAX_LOG_DENSITY_GAP = 10.0
-MIN_MODE_DISTANCE = 1e-3  #: ends nearer to each other than this part of the bounds are one mode
-#: profiles along which draws begin: coarse ones, down to densities of a thousandth of the peak's
+#: distance of two ends, as a fraction of the bounds' distance, below which they are one mode
+MIN_MODE_DISTANCE = 1e-3
+#: steps of the profiles along which draws begin: coarse, down to densities of a thousandth of the peak's
 PROFILE_STEPS = ProfileSteps(stop_deviance=14.0, root_rise=1.2, min_gain=0.5)
 
 

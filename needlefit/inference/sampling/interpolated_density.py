@@ -19,16 +19,18 @@ from needlefit.inference.likelihood.observation import append_pose_curves
 from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.inference.problem import Problem
 
-FIRST_POINTS = 100  #: thetas at which all nodes are simulated first
-SIMULATED_POINTS = 300  #: thetas at which the needles as measured are simulated first
-#: depth of all insertions together up to which these always are: that costs less than to interpolate
+FIRST_POINTS = 100  #: number of thetas at which all nodes are simulated first
+SIMULATED_POINTS = 300  #: number of thetas at which the needles as measured are simulated first
+#: largest depth of all insertions together (mm) at which the needles as measured are always simulated: that
+#: costs less than to interpolate
 SHALLOW_MM = 40.0
-MAX_POINTS = 1000  #: between which is interpolated: the system of 3 000 takes half a second
-MAX_VALUES = 2**23  #: of all of them, and of the residuals as measured that are held at once
-THETAS_PER_CHECK = 32  #: of a call, one in so many is evaluated exactly too
-MAX_RMS_ERROR = 0.02  #: largest rms error of the log density of these
-MAX_REFINEMENTS = 4  #: times that checked thetas of one call may join the points
-#: fall of the log density below the best of a call from which on a theta does not matter
+MAX_POINTS = 1000  #: largest number of interpolated points: to solve the system of 3 000 takes half a second
+#: largest number of values of all points, and of residuals as measured, that are held at once
+MAX_VALUES = 2**23
+THETAS_PER_CHECK = 32  #: number of thetas of a call of which one is evaluated exactly too
+MAX_RMS_ERROR = 0.02  #: largest rms error of the log density at these
+MAX_REFINEMENTS = 4  #: largest number of times that checked thetas of one call join the points
+#: difference of the log density from the best of a call beyond which a theta does not matter
 NEGLIGIBLE_FALL = 10.0
 
 

@@ -14,10 +14,10 @@ import numpy as np
 from needlefit.arrays import Floats, log_sum_exp
 
 MAX_PARETO_K = 0.7  #: largest k of weights whose means come to rest at any practical number of draws
-MIN_TAIL_WEIGHTS = 5  #: fewer weights make no tail
-PRIOR_SHAPE = 0.5  #: the estimated k is shrunk to this shape
-PRIOR_WEIGHTS = 10.0  #: with the weight of so many further weights
-GRID_COARSENESS = 3.0  #: the grid of the profile likelihood is that of a first quartile divided by this
+MIN_TAIL_WEIGHTS = 5  #: smallest number of weights that make a tail
+PRIOR_SHAPE = 0.5  #: value toward which the estimated k is shrunk
+PRIOR_WEIGHTS = 10.0  #: number of further weights that this value counts as
+GRID_COARSENESS = 3.0  #: divisor of the first quartile in the grid of the profile likelihood
 
 
 def smooth_weights(log_weights: Floats) -> tuple[Floats, float]:

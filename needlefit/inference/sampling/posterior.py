@@ -26,7 +26,7 @@ LOG_POSTERIOR = "log posterior"
 #: what the file keeps beside arrays; of files of other versions, whatever else they have is left out
 _STORED = ("names", "wanted", "burn_in", "failures", "interrupted", "sampler")
 UNITS = {"pa": "Pa", "mm": "mm", "deg": "degree"}  #: of parameters, by the endings of their names
-PERCENTILES = (2.5, 16.0, 50.0, 84.0, 97.5)
+PERCENTILES = (2.5, 16.0, 50.0, 84.0, 97.5)  #: percentiles of each parameter in the table of a posterior
 
 
 @dataclass(frozen=True)

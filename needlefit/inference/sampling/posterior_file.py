@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from needlefit.project.input_files import open_regular
 from needlefit.project.reader_process import Arrays, read_in_process
 
-MAX_POSTERIOR_BYTES = 4 * 2**30  #: size of a file of draws; those of the paper's studies have some MB
+#: largest size of a file of draws (bytes); those of the paper's studies have some MB
+MAX_POSTERIOR_BYTES = 4 * 2**30
 
+#: size (bytes) of a file of draws that warrants one second of processor time
 READ_BYTES_PER_SECOND = 16 * 2**20
 
 GROUPS = ("posterior", "sample_stats", "convergence")

@@ -19,8 +19,8 @@ from needlefit.inference.sampling.posterior import LOG_POSTERIOR, Posterior
 from needlefit.inference.sampling.samplers import SAMPLERS, Step
 from needlefit.schemas.recipe import SampleRecord
 
-BLOCK_STEPS = 10  #: between two checks of convergence
-CHECKED_DRAWS = 64  #: in which interpolated densities are checked in the end
+BLOCK_STEPS = 10  #: number of steps between two checks of convergence
+CHECKED_DRAWS = 64  #: number of draws at which interpolated densities are checked in the end
 
 
 def sample(

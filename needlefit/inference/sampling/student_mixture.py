@@ -8,7 +8,7 @@ from scipy.special import gammaln
 
 from needlefit.arrays import Floats, log_sum_exp
 
-#: degrees of freedom: heavy enough for posteriors within bounds, at a small loss on Gaussian ones
+#: degrees of freedom: heavy enough tails for posteriors within bounds, at a small loss on Gaussian ones
 DEGREES_OF_FREEDOM = 5.0
 
 

@@ -20,14 +20,14 @@ from needlefit.inference.likelihood.stated_errors import StatedErrors
 from needlefit.metrics import compute_metrics
 from needlefit.schemas.base import Compared
 
-INTEGRATION_POINTS = 1001  #: from the clamped end to the tip
-#: to both sides of a sensor, over which the simulated curvature is taken, mm
+INTEGRATION_POINTS = 1001  #: number of points of the integration from the clamped end to the tip
+#: distance (mm) to both sides of a sensor over which the simulated curvature is taken
 SENSOR_STEP_MM = MIN_SENSOR_MM
 
 
-#: from three deflections about a sensor to its curvature, 1/mm
+#: weights of three deflections about a sensor that give its curvature, 1/mm
 SECOND_DIFFERENCE = np.array([[1.0, -2.0, 1.0]]) / SENSOR_STEP_MM**2
-FLOOR_DRAWS = 200  #: of readings, of whose errors the noise floor is the mean
+FLOOR_DRAWS = 200  #: number of draws of readings, of whose errors the noise floor is the mean
 
 
 def surround_sensors(insertion: Insertion) -> Floats:

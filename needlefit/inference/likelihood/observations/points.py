@@ -38,7 +38,7 @@ from needlefit.inference.likelihood.pose_errors import (
 from needlefit.inference.likelihood.stated_errors import Discrepancy, StatedErrors, points_covariance
 from needlefit.schemas.dataset import MeasurementRecord
 
-FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a simulated shape lies whose pose is free, mm
+FREE_POSE_SHIFT_SD_MM = 10.0  #: SD (mm) of where a simulated shape lies whose pose is free
 
 
 def points_operator(measurement: MeasurementRecord, s: Floats) -> Floats | None:

@@ -26,11 +26,12 @@ from needlefit.inference.likelihood.pose_errors import (
 )
 from needlefit.inference.likelihood.stated_errors import StatedErrors
 
-SHARED_ERROR_LENGTH_MM = 7.5  #: length over which errors that neighbouring cross-sections share fade, mm
-#: cross-sections within so many deviations of the depth from the needle's base are left out: a depth that
-#: errs must not move them off the needle
+SHARED_ERROR_LENGTH_MM = 7.5  #: length (mm) over which errors that neighbouring cross-sections share fade
+#: distance from the needle's base, in SDs of the depth, within which cross-sections are left out: a depth
+#: that errs must not move them off the needle
 DEPTH_ERRORS_KEPT = 4.0
-MIN_WEIGHT = 1e-12  #: of a simulated cross-section that counts for nothing: its noise must stay finite
+#: smallest weight of a simulated cross-section: its noise must stay finite where it counts for nothing
+MIN_WEIGHT = 1e-12
 
 
 @dataclass(frozen=True)

@@ -29,13 +29,13 @@ from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.base import Compared
 from needlefit.schemas.recipe import TrackErrorsRecord
 
-#: length over which the direction of a simulated path is taken, mm: shorter than constraints are apart
+#: length (mm) over which the direction of a simulated path is taken: shorter than constraints are apart
 HEADING_STEP_MM = 0.25
-#: prior deviation of the offset of a session's headings, rad: registrations err by less
+#: prior SD of the offset of a session's headings (rad): registrations err by less
 HEADING_OFFSET_SD_RAD = 0.2
 
 
-DEPTH_TOLERANCE_MM = 1e-9  #: mm; depths closer than this are one
+DEPTH_TOLERANCE_MM = 1e-9  #: difference (mm) below which two depths are one
 
 
 def extrapolate_tip(passed: Floats, tip: Floats, depth: Floats) -> Floats:

@@ -16,10 +16,12 @@ from needlefit.arrays import Floats
 from needlefit.inference.sampling.importance import LogDensityFunction, Proposal, WeightedDraws
 from needlefit.inference.sampling.samplers import Sampler, Step
 
-INDEPENDENT_SHARE = 0.9  #: of the steps, by proposals of the mixture
-FITS = 6  #: to the draws by importance, from other beginnings each, so that none follows their noise
-COMPONENTS = 8  #: of each fit
-#: of the mixture; the rest is the wide one that the draws are of, so that no place is proposed too rarely
+INDEPENDENT_SHARE = 0.9  #: share of the steps that are proposals of the mixture
+#: number of fits to the draws by importance, from different beginnings, so that none follows their noise
+FITS = 6
+COMPONENTS = 8  #: number of components of each fit
+#: share of the fits in the mixture; the rest is the wide one that the draws are of, so that no place is
+#: proposed too rarely
 FITTED_SHARE = 0.9
 
 
