@@ -11,10 +11,10 @@ from scipy.sparse.csgraph import connected_components
 
 from needlefit.arrays import Ints
 
-# Voxels of which a marker, or a wide part, is looked for among at once: more would take several times the
-# volume's memory, and a level that more exceed separates nothing.
+# largest number of voxels among which a marker, or a wide part, is looked for at once: more would take
+# several times the volume's memory, and a level that more exceed separates nothing
 MAX_LISTED_VOXELS = 2**22
-# Steps (k, j, i) to half of the neighbours of a voxel: the others meet it by the same steps.
+# steps (k, j, i) to half of the neighbours of a voxel: the others meet it by the same steps
 CORNERS = np.array(list(product((-1, 0, 1), repeat=3)))[14:]
 FACES = np.eye(3, dtype=np.int64)
 Labels = tuple[Ints, Ints]

@@ -19,10 +19,11 @@ from needlefit.imaging.needle.follow import MIN_POINTS
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Corrections, Scan
 
-LIST_NAME = "corrections"  # what a list of control points is called, after the id of its scan
-AXIS_POINTS = 8  # control points on the needle, at even distances
+LIST_NAME = "corrections"  # name of a list of control points, after the id of its scan
+AXIS_POINTS = 8  # number of control points on the needle, at even distances
 KINDS = ("axis", "tip", "entry", "ball")
-MIN_MOVE_MM = 0.01  # a control point that lies nearer to where it was found was not moved, mm
+# distance (mm) of a control point from its place in the result below which it was not moved
+MIN_MOVE_MM = 0.01
 _LABEL = re.compile(rf"({'|'.join(KINDS)})( *\d+)?", re.IGNORECASE)
 _NUMBER = r"(-?\d+\.\d+)"
 _FOUND = re.compile(rf"found at L, P, S = {_NUMBER}, {_NUMBER}, {_NUMBER} mm")

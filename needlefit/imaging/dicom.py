@@ -28,9 +28,9 @@ from needlefit.project.folders import MAX_LISTED_FILES
 from needlefit.project.input_files import is_file, open_regular
 from needlefit.project.reader_process import Arrays, allow_memory
 
-# A slice may stand this far from its place on an even stack, mm: positions are written to 0.1 mm or better.
+# largest distance (mm) of a slice from its place on an even stack: positions are written to 0.1 mm or better
 MAX_OFFSET_MM = 0.1
-MAX_LEAN = 1e-3  # of the stack, as a sine: axes are written to three decimals or better
+MAX_LEAN = 1e-3  # largest tilt of the stack, as a sine: axes are written to three decimals or better
 # Modalities whose values are attenuations; converters leave the entry out, or write OT (other).
 XRAY_MODALITIES = ("", "CT", "XA", "RF", "DX", "PX", "IO", "OT")
 # What these entries may be; "" where there is none.
@@ -51,16 +51,17 @@ EXPORT_FIX = (
     "export the series from the scanner again, as original axial slices in HU; or load it in 3D Slicer, and "
     "save the volume as NRRD, in HU (air -1000, water 0); a micro-CT scans air and water for this"
 )
-ELEMENT_HEADER_BYTES = (12, 8)  # of the voxels' entry, where types are stated and where not
-SLICE_BYTES_PER_PIXEL = 32  # a slice stands in memory packed, unpacked, and in double precision
+# size (bytes) of the header of the voxels' entry, where types are stated and where not
+ELEMENT_HEADER_BYTES = (12, 8)
+SLICE_BYTES_PER_PIXEL = 32  # memory (bytes) of a pixel of a slice: packed, unpacked, and in double precision
 SUFFIXES = (".dcm", ".ima", ".dicom")
-NEEDED_NUMBERS = {  # entries that are numbers, and of how many
+NEEDED_NUMBERS = {
     "ImagePositionPatient": 3,
     "ImageOrientationPatient": 6,
     "PixelSpacing": 2,
     "RescaleSlope": 1,
     "RescaleIntercept": 1,
-}
+}  # entries that are numbers, and the count of each
 NUMBERS = {**NEEDED_NUMBERS, "PixelPaddingValue": 1}
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 

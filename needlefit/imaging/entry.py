@@ -27,7 +27,7 @@ from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import StagePose
 from needlefit.imaging.volume import find_cuts
 
-# Deviations from which on the stage's axis and the shaft's are not one needle's.
+# smallest difference of the stage's axis and the shaft's, in deviations, at which they are not one needle's
 MAX_AXIS_DISAGREEMENT_SD = 10.0
 
 

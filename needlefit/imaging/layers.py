@@ -43,11 +43,11 @@ from needlefit.imaging.volume import VoxelGrid, to_index, to_patient
 from needlefit.imaging.volume_files import explain_missing_packages
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-SMOOTHING_SD_MM = 0.6  # standard deviation of the smoothing, mm; at least as many voxels
-# Edge of the cells that marching cubes goes through, as near as whole voxels come to it, mm.
+SMOOTHING_SD_MM = 0.6  # SD of the smoothing (mm); one voxel where voxels are larger
+# edge (mm) of the cells that marching cubes goes through, as near as whole voxels come to it
 CELL_MM = 2 * SMOOTHING_SD_MM
-# No boundary comes nearer to the centre of a cell than a voxel grid shows, in standard deviations of the
-# smoothing: in a file, triangles smaller than its digits would fall together.
+# smallest distance of a boundary from the centre of a cell that a voxel grid shows, in standard deviations of
+# the smoothing: nearer, triangles would be smaller than a file's digits and fall together
 MIN_CORNER_DISTANCE_SD = MM.GRID_SD / SMOOTHING_SD_MM
 
 

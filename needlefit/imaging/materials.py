@@ -27,7 +27,7 @@ from needlefit.imaging.reconstruction import IntensityProfile, MaterialKind, Mat
 from needlefit.imaging.volume import Volume
 
 RING = disc_points(MM.RING[1])  # (N, 2); its points, mm
-RING = RING[np.hypot(*RING.T) >= MM.RING[0]]
+RING = RING[np.hypot(*RING.T) >= MM.RING[0]]  # points of the ring (mm), (N, 2)
 
 
 def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> IntensityProfile:

@@ -17,12 +17,13 @@ from scipy.special import ndtr
 from needlefit.arrays import Floats
 from needlefit.imaging.constants import MM, PART, SCANNER
 
-# Of more voxels every second, third ... is fitted: neighbours in fine voxels are one in the blur.
+# largest number of fitted voxels; of more every second, third ... is fitted: neighbours in fine voxels are
+# one in the blur
 MAX_FITTED_VOXELS = 4000
 _PARTS = (SCANNER.BLUR, SCANNER.BOOST, SCANNER.SLICE_BLUR)
-EXPECTED_SDS = tuple(part.sd for part in _PARTS)  # of log blur, boost, log blur across
-BALL_SDS = (0.04, 0.15, 0.08)  # the same where balls in the scan show them
-# Ranges of these parameters
+EXPECTED_SDS = tuple(part.sd for part in _PARTS)  # prior SDs of log blur, boost, log blur across
+BALL_SDS = (0.04, 0.15, 0.08)  # prior SDs of these where balls in the scan show them
+# ranges of these parameters
 LOWEST, HIGHEST = np.array([part.range for part in _PARTS]).T
 LOWEST[::2], HIGHEST[::2] = np.log([LOWEST[::2], HIGHEST[::2]])
 Reals = NDArray[np.floating[Any]]  # of single precision where the frequencies are

@@ -29,10 +29,11 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import AXIS_SIGNS, Frame
 from needlefit.imaging.constants import PROBABILITY, SD
 
-# Chi-squared by which another pairing must be worse to be as unlikely as is tolerated.
+# smallest difference of chi-squared to another pairing with which that one is as unlikely as is tolerated
 MIN_CHI2_GAP = -2 * np.log(PROBABILITY.FALSE_ALARM)
-MAX_PAIRINGS = 50_000  # pairings that are kept at once; beyond, the markers are too alike or too many
-MAX_TURN_SD_RAD = 0.1  # deviation of a turn, rad, from which on the markers count as lying on a line
+# largest number of pairings that are kept at once; beyond, the markers are too alike or too many
+MAX_PAIRINGS = 50_000
+MAX_TURN_SD_RAD = 0.1  # smallest SD of a turn (rad) at which the markers count as lying on a line
 
 
 @dataclass(frozen=True)

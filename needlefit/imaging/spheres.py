@@ -30,9 +30,9 @@ from needlefit.imaging.point_spread import (
 )
 from needlefit.imaging.volume import Volume, find_cuts, list_voxels_near, to_patient
 
-TABLE_STEP_MM = 0.1  # spacing of the table, mm; cubic splines join it
-FREQUENCY_STEP_PER_MM = 0.25  # spacing of the angular frequencies, 1/mm: images of a ball repeat every 25 mm
-MAX_FREQUENCY_SD = 4.5  # angular frequencies beyond so many over a blur are left out: 4e-5 of them passes
+TABLE_STEP_MM = 0.1  # spacing (mm) of the table; cubic splines join it
+FREQUENCY_STEP_PER_MM = 0.25  # spacing (1/mm) of the angular frequencies: images of a ball repeat every 25 mm
+MAX_FREQUENCY_SD = 4.5  # largest angular frequency, over the inverse of a blur: 4e-5 of its amplitude passes
 
 
 def _list_frequencies() -> tuple[Floats, Floats]:

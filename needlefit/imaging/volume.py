@@ -21,13 +21,14 @@ from needlefit.imaging.constants import HU, PART
 from needlefit.project.input_files import open_regular
 from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_bytes
 
-# Largest volume that is read, 1024^3: 4 GB in memory, unless the user states another size.
+# largest number of voxels that are read, 1024^3: 4 GB in memory, unless the user states another number
 DEFAULT_MAX_VOXELS = 2**30
-# Spacings of real scans, mm; outside, the unit of the file is not mm.
+# spacings of real scans (mm); outside, the unit of the file is not mm
 SPACINGS_MM = (1e-3, 50.0)  # from the finest micro-CT to the thickest slices
-# Axes may miss right angles and unit length by this much, as cosines printed with four decimals do.
+# largest deviation of axes from right angles and unit length, as cosines printed with four decimals have
 AXES_COSINE_TOLERANCE = 2e-4
-MAX_TILT_DEG = 35.0  # a gantry tilts by 30 degrees at most; its slices then lean over one another by as much
+# largest tilt (degrees): a gantry tilts by 30 at most; its slices then lean over one another by as much
+MAX_TILT_DEG = 35.0
 
 
 @dataclass(frozen=True)
@@ -303,7 +304,7 @@ def require_inside(volume: Volume, points: Floats, kind: str) -> None:
         )
 
 
-MAX_EQUAL = 3  # voxels around a thing that have its largest value by chance
+MAX_EQUAL = 3  # largest number of voxels around an object that have its largest value by chance
 
 
 def explain_refusal(error: NeedlefitError, volume: Volume) -> NeedlefitError:

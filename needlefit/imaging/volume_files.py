@@ -26,8 +26,8 @@ from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_pr
 CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
 DETACHED_SUFFIXES = (".nhdr", ".mhd")
 DATA_FILE = re.compile(rb"^(?:data ?file|ElementDataFile)\s*[:=]\s*(.*\S)", re.IGNORECASE | re.MULTILINE)
-MAX_HEADER_BYTES = 2**16  # of such a file
-READ_SECONDS = 600.0  # of the processor, within which a file must be read: a damaged one may never end
+MAX_HEADER_BYTES = 2**16  # largest size (bytes) of a header that names a file of data
+READ_SECONDS = 600.0  # longest processor time (s) in which a file must be read: a damaged one may never end
 
 
 def read_volume(path: Path, series: str | None = None) -> Volume:

@@ -12,8 +12,9 @@ from needlefit.geometry.smoothing_spline import DEGREE, design_matrix, free_end_
 from needlefit.imaging.constants import MM, SD
 from needlefit.imaging.volume import Volume, sample
 
-FEWEST = 8  # of cross-sections, or voxels, that make an axis; fewer are noise
-ROUNDS = 3  # of moving sections to the middle, each on the axis before; reweighting takes one more
+FEWEST = 8  # smallest number of cross-sections, or voxels, that make an axis; fewer are noise
+# number of times that sections are moved to the middle, each on the axis before; reweighting takes one more
+ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,8 @@ def _make_frames(origins: Floats, ways: Floats, chord: Floats) -> AxisFrames:
     return AxisFrames(origins, tangents, u, np.cross(tangents, u))
 
 
-PLANE_SPACING_MM = 0.3  # of the points in a plane, also of pictures, mm: finer than a cone beam's voxels
+# spacing (mm) of the points in a plane, also of pictures: finer than a cone beam's voxels
+PLANE_SPACING_MM = 0.3
 
 
 def disc_points(radius: float) -> Floats:

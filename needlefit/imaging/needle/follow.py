@@ -23,9 +23,9 @@ from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-MIN_POINTS = 3  # fewer do not show which way a needle bends
-# Distance of the places at which the needle is looked for, mm; of a mask, or of what a threshold shows, one
-# point is taken over twice that.
+MIN_POINTS = 3  # smallest number of points: fewer do not show which way a needle bends
+# distance (mm) of the places at which the needle is looked for; of a mask, or of what a threshold shows, one
+# point is taken over twice that
 STEP_MM = 2 * MM.STATION
 
 

@@ -10,13 +10,13 @@ from scipy.sparse import csr_array
 from needlefit.arrays import Floats
 from needlefit.imaging.point_spread import PointSpread
 
-COLUMN_MM = 0.75  # mm, pieces of the rod along it
-CELL_MM = 0.25  # mm, cells of the detector, and distance of planes at most
-PLANE_STEP = 6  # planes of which a slice has a multiple
-# Distances from a slice's middle, in slices, between which the logarithm of its sensitivity is linear.
+COLUMN_MM = 0.75  # length (mm) of the pieces of the rod along it
+CELL_MM = 0.25  # width (mm) of the cells of the detector, and largest distance of planes
+PLANE_STEP = 6  # divisor of the number of planes of a slice
+# distances from a slice's middle, in slices, between which the logarithm of its sensitivity is linear
 SENSITIVITY_AT = np.arange(PLANE_STEP) / PLANE_STEP
-VIEW_STEP = 0.013  # rad, angle between views along the needle
-WATER_PER_MM = 0.02  # attenuation of water, 1/mm
+VIEW_STEP = 0.013  # angle (rad) between views along the needle
+WATER_PER_MM = 0.02  # attenuation of water (1/mm)
 
 
 @dataclass(frozen=True)

@@ -47,30 +47,31 @@ from needlefit.imaging.point_spread import PointSpread, expected_spread, robust_
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedleRecord
 
-MAX_FITS = 2  # where one ends far from the lines across the needle, they are laid anew
-LINE_STEP_MM = 0.4  # mm, between samples across the needle
-REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are looked at
+# largest number of fits: where one ends far from the lines across the needle, they are placed anew
+MAX_FITS = 2
+LINE_STEP_MM = 0.4  # distance (mm) between samples across the needle
+REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are compared
 KNOT_FACTOR = 1.6  # distance of the knots over that of the axis
 # A needle between supports is a beam: the third derivative of its axis is the shear force over its stiffness.
-SHEAR_SD_MM2 = 4e-5  # mm2, deviation of the shear force over Young's modulus: 8 N in steel
-# What the beam does, by logarithms. Then follow the blur's logarithm and the boost, and logarithms of the
+SHEAR_SD_MM2 = 4e-5  # SD of the shear force over Young's modulus (mm2): 8 N in steel
+# parameters of the beam, as logarithms. Then follow the blur's logarithm and the boost, and logarithms of the
 # sensitivity of planes of a slice over that of its middle; both as the point spread has them.
 BEAM = (SCANNER.ATTENUATION, SCANNER.HARDENING, SCANNER.SCATTER, SCANNER.LINEARITY)
-PROFILE_SDS = (0.4, 0.4, 0.5, 1.0, 1.5)  # of the logarithms of the sensitivity
-TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
-START_STEPS = (0.5, 0.25, 0.12)  # of moves along the normal, slices
-START_ENDS_MM = (-0.5, 0.0, 0.5)  # ends that are tried, from the one before, mm
-ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first fit and later
-STEP = 0.05  # of the derivatives
-STEPS = 8  # of a fit, at most
-ROUGH = 2.0  # factor of the rod's pieces and the views' angles while its course is looked for
-# The model's error, in water and in parts of the image, before it is known; samples that count as one.
+PROFILE_SDS = (0.4, 0.4, 0.5, 1.0, 1.5)  # prior SDs of the logarithms of the sensitivity
+TIP_SDS = np.array([1.0, 10.0])  # prior SDs of where the needle ends (mm), and of its bevel's roll (rad)
+START_STEPS = (0.5, 0.25, 0.12)  # steps (slices) of moves along the normal
+START_ENDS_MM = (-0.5, 0.0, 0.5)  # distances (mm) of the ends that are tried from the one before
+ROBUST_SD = (20.0, 4.0)  # numbers of deviations beyond which residuals count less, in the first fit and later
+STEP = 0.05  # step of the difference quotients
+STEPS = 8  # largest number of steps of a fit
+ROUGH = 2.0  # factor on the rod's pieces and on the angles of views while its path is searched
+# first estimates of the model's error: in water, and as a fraction of the image
 FIRST_ERRORS = (0.15, 0.25)
-CORRELATED = 10.0  # samples
-# What no residual shows, slices: of the axis; and where the needle does not cross a slice, as its mirror
-# image looks the same, at its end twice. Set on volumes of `benchmarks/real_scanners.py --seeds 2000:2013`.
-MIRROR_SD = 0.2  # slices
-HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, mm, and slices
+CORRELATED = 10.0  # number of samples that count as one
+# SD of the axis (slices) that no residual shows where the needle does not cross a slice, as its mirror image
+# looks the same; at its end twice as much. Set on volumes of `benchmarks/real_scanners.py --seeds 2000:2013`.
+MIRROR_SD = 0.2
+HUB_SDS = np.array([0.1, 0.3])  # SDs of a needle from its hub's middle: mm, and slices
 
 
 def place_in_slices(

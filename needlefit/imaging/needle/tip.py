@@ -48,7 +48,7 @@ from needlefit.schemas.reconstruction import ScannedNeedleRecord
 Singles = NDArray[np.float32]
 
 GRID_STEP_MM = CELL_MM  # spacing of the points on which the rod is modelled, mm
-FIBRES = 6  # fibres along the needle into which a grid's step is parted, in each direction across
+FIBRES = 6  # number of fibres along the needle into which a grid's step is divided, in each direction across
 
 
 class RodModel:
@@ -119,21 +119,23 @@ class RodModel:
 # slices, mm, and between them the kernel's boost; the streak beyond the end, HU.
 TIP, ROLL, U, V, HEIGHT, LEVEL, COT, BLUR, _, SLICE, STREAK = range(11)
 SPREAD = slice(7, 10)
-START_ENDS_MM = np.arange(-0.8, 0.9, 0.4)  # around the first guess, at which the bevel's side is tried
-STEPS = 30  # of a fit, at most
-DERIVATIVE_STEP = 0.05  # of the derivatives, over the typical changes: single precision hides smaller ones
-MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
-ROLL_FACTOR = 3.0  # of the roll's deviation: artefacts near the tip
-ROLL_SD = 0.15  # of the roll, rad, that no residual shows
+# distances (mm) from the first guess of the end at which the bevel's side is tried
+START_ENDS_MM = np.arange(-0.8, 0.9, 0.4)
+STEPS = 30  # largest number of steps of a fit
+# step of the difference quotients, over the typical changes: single precision hides smaller ones
+DERIVATIVE_STEP = 0.05
+MAX_BEVEL_DEG = 85.0  # largest angle (degrees) of a bevel that has a side
+ROLL_FACTOR = 3.0  # factor on the roll's deviation: artefacts near the tip
+ROLL_SD = 0.15  # SD of the roll (rad) that no residual shows
 LOWER_BOUNDS = np.array([*5 * [-np.inf], -1100, 0, *LOWEST, -HU.CLIPPED])
 UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(SCANNER.METAL.range[1]), 1000, 6, *HIGHEST, HU.CLIPPED])
 # Bounds and typical changes of the parameters. No metal of needles exceeds 50 000 HU.
 PARAMETER_SCALES = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50, 0.3, 0.1, 0.3, 0.2, 100])
-HELD = [U, V, HEIGHT, COT, *range(7, 10), STREAK]  # parameters of which something is known before
-# Deviations of the stated angle from which on the image contradicts it: right ones at most 1.0, bevels of 20
-# and 60 degrees for 30 have 3.0.
+HELD = [U, V, HEIGHT, COT, *range(7, 10), STREAK]  # parameters that have a prior
+# largest difference of the bevel's angle from the stated one, in its deviations, beyond which the image
+# contradicts it: right ones at most 1.0, bevels of 20 and 60 degrees for 30 have 3.0
 MAX_BEVEL_PULL_SD = 2.5
-MIN_BEVEL_PROBABILITY = 0.95  # probability from which on the side of the bevel is stated
+MIN_BEVEL_PROBABILITY = 0.95  # smallest probability with which the side of the bevel is stated
 
 
 def point_bevel(u: Floats, v: Floats, roll: float, roll_sd: float) -> Floats:
