@@ -313,6 +313,17 @@ def test_an_answer_or_a_change_that_is_refused_is_asked_for_again(tmp_path):
     assert "diameter" not in prepared.mapping.assumed and "modulus" in prepared.mapping.assumed
 
 
+def test_columns_under_unknown_headers_are_asked_for_once_each(tmp_path):
+    points = "".join(f"n1,{k},{10 * k},{k * k}\n" for k in range(6))
+    (tmp_path / "a.csv").write_text(f"needle,pt,aa_px,row_px\n{points}")
+    replies, asked = iter(["aa_px", "row_px", "1 mm"]), []
+    prepared = prepare_import(
+        [tmp_path / "a.csv"], prompt=lambda question, _: asked.append(question.key) or next(replies)
+    )
+    assert asked == ["x.column", "y.column", "unit"]
+    assert prepared.content.curves[0].line[-1].tolist() == [50, 25, 0]
+
+
 @pytest.mark.parametrize(("unit", "asked"), [("m", ()), ("", ("diameter.unit=m", "needle_length.unit=m"))])
 def test_the_unit_that_a_file_states_is_that_of_its_lengths_and_a_length_of_no_needle_is_asked(
     tmp_path, unit, asked

@@ -187,6 +187,8 @@ def read_header(text: str) -> Header:
         meaning, usual = _look_up_part(words)
     if meaning == "needle" and unit in UNITS_MM:  # `insertion [mm]`: names have no unit
         meaning, usual = "depth", "mm"
+    if meaning == "point_number" and unit:  # `row_px`: a coordinate
+        return Header(text, unit=unit)
     if meaning:  # lengths without a unit have that of the coordinates
         known_unit = unit if usual in UNITS_MM or find_meaning("unit", unit) else ""
         return Header(text, meaning, unit=known_unit or ("" if usual in UNITS_MM else usual))
