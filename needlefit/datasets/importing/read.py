@@ -340,7 +340,8 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
             fix=f"fill it in; or, if the cell above counts: {edit}",
             where=mapped.places[blank[0]],
         )
-    keys = {_make_key(name) for name in rows}
+    named = [*filter(None, names)]
+    keys = {_make_key(name) for name in named}
     called = {
         curve: curve.stated["specimen"].text
         if by_specimen and "specimen" in curve.stated
@@ -349,14 +350,14 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
         else curve.given or curve.name
         for curve in curves
     }
-    pairs = pair_names(rows, called.values())
+    pairs = pair_names(named, called.values())
     strangers = [name for name in rows if name not in pairs]
     for name in strangers if needles else ():  # of which curvatures alone were measured
         points, unique = Points(mapped.path, np.empty((0, 3))), _make_name(name, [c.name for c in curves])
         curves.append(ImportedCurve(unique, points, kind, given=needles[name], hole=needles[name]))
         called[curves[-1]] = pairs[name] = name
     without = [*dict.fromkeys(name for name in called.values() if name not in pairs.values())]
-    if len(pairs) < len(rows) or (without and kind.is_of_each):
+    if not rows.keys() <= pairs.keys() or (without and kind.is_of_each):
         problem = f"no row is about {join_names(without, MAX_LISTED_NAMES)}"
         if strangers:
             problem = f"no {record.of} is called {join_names(strangers, MAX_LISTED_NAMES)}"
@@ -374,6 +375,9 @@ def _add_rows(mapped: MappedTable, curves: list[ImportedCurve]) -> None:
     for name, numbers in rows.items():
         for curve in [curve for curve in curves if called[curve] == pairs[name]]:
             kind.read(mapped, curve, numbers)
+    if kind.is_of_each:  # needles all of whose rows are excluded
+        left_out = {pairs[name] for name in pairs.keys() - rows.keys()}
+        curves[:] = [curve for curve in curves if called[curve] not in left_out]
 
 
 # ---- names
