@@ -262,7 +262,7 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
         screen.print_note(f"next: {shlex.join(('needlefit', command, name))}")
 
 
-FAULT_PARTS = ("where", "what", "expected", "fix")  # of a fault as JSON
+FAULT_PARTS = ("where", "what", "expected", "fix")  # keys of a fault in JSON
 
 
 def _check_dataset(invocation: Invocation, path: Path) -> None:

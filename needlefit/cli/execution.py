@@ -274,7 +274,7 @@ def require_no_faults(faults: Iterable[str]) -> None:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
-_WRITING = threading.Lock()  # of reports: what draws and compiles them serves one thread at a time
+_WRITING = threading.Lock()  # lock of reports: what draws and compiles them serves one thread at a time
 
 
 def _run_study(

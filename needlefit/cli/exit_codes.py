@@ -62,6 +62,7 @@ class Invocation:
         return f"needlefit: interrupted; to go on: {self.resuming()}"
 
 
+# exit codes of an error that is a bug, of a fit that did not converge, and of Ctrl-C
 UNEXPECTED, NOT_CONVERGED, INTERRUPTED = 1, 5, 130
 
 EXIT_CODES = {
@@ -97,10 +98,10 @@ def report_error(error: BaseException, invocation: Invocation) -> int:
     return UNEXPECTED
 
 
-_EXTRAS = {"distributed": "cluster"}  # of packages that needlefit works without
+_EXTRAS = {"distributed": "cluster"}  # names of extras, of the packages that needlefit works without
 
 
-# What to do where a write fails: such errors name no file, and are about the results.
+# advice where a write fails, by the error's number: such errors name no file, and are about the results
 _SPACE_ADVICE = {
     errno.ENOSPC: "free some space",
     errno.EDQUOT: "free some space",
@@ -131,7 +132,7 @@ def _to_user_error(error: BaseException, invocation: Invocation) -> BaseExceptio
 
 _FIRST_INTERRUPT_MESSAGE = b"\nneedlefit: stopping after this step; Ctrl-C again leaves at once\n"
 STOP_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-"""Windows has no SIGHUP."""
+"""Signals that stop a run; Windows has no SIGHUP."""
 _SHOW_CURSOR = b"\x1b[?25h"
 
 

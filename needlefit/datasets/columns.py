@@ -48,10 +48,10 @@ SHARED_COLUMN = "boundary_shared_sd_mm"
 HOLE_COLUMN = "hole"  # column with the name of the hole
 BASE_SHIFT_COLUMN = "base_moved_mm"  # column of the distance (mm) by which the base was moved
 ROLL_COLUMNS = ("bevel_roll_deg", "bevel_roll_sd_deg")
-TURN_COLUMNS = ("id", "depth_mm", "bevel_roll_deg")  # of the table of turns during insertions
-# Of the table of curvatures: place of a sensor from the tip, curvature toward +y and +z of C, its deviation.
+TURN_COLUMNS = ("id", "depth_mm", "bevel_roll_deg")  # columns of the table of turns during insertions
+# columns of the table of curvatures: place of a sensor from the tip, curvature toward +y and +z of C, its SD
 CURVATURE_COLUMNS = ("id", "s_mm", "kappa_y_1_per_mm", "kappa_z_1_per_mm", "sd_1_per_mm")
-# Of an insertion whose tip was measured: its deflection along y and z of C, and its deviation beside a shape.
+# columns of an insertion whose tip was measured: its deflection along y and z of C, and its SD beside a shape
 TIP_COLUMNS = ("tip_y_mm", "tip_z_mm", "tip_sd_mm")
 # column of the SD of a point (mm) of insertions whose measurement errs more or less than others
 POINT_SD_COLUMN = "point_sd_mm"

@@ -13,7 +13,8 @@ Fault = NeedlefitError  # one that is noted
 
 MAX_LIKE_FAULTS = 3  # largest number of faults of one kind that are listed one by one
 MAX_LISTED_PLACES = 5  # number of places that are listed where there are more faults
-_PLACE = re.compile(r"(?::(?=\d)|, (?=(?:line|point|row|sheet) ))(?P<place>[^/]*)$")  # behind a file's name
+# pattern of the place behind a file's name
+_PLACE = re.compile(r"(?::(?=\d)|, (?=(?:line|point|row|sheet) ))(?P<place>[^/]*)$")
 
 
 def note_fault(faults: list[Fault], where: str | Path, problem: str, expected: str, fix: str) -> None:

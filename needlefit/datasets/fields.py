@@ -15,8 +15,10 @@ from needlefit.grouping import group_values
 
 MAX_TEXT_CHARS = 200  # longest text that is stated of a curve (characters)
 MAX_STATED_NUMBERS = 20  # largest number of numbers in a vector that is stated of a curve
-_COORDINATE = re.compile(r"([xyz])(?:_(mm|cm|dm|um|m))?", re.IGNORECASE)  # `x`, `X_mm`
-_UNIT_ENDING = re.compile(r"(\w+)_(mm|cm|um)", re.IGNORECASE)  # of a name of points: `needles_cm`
+# pattern of a coordinate: `x`, `X_mm`
+_COORDINATE = re.compile(r"([xyz])(?:_(mm|cm|dm|um|m))?", re.IGNORECASE)
+# pattern of a name of points with a unit: `needles_cm`
+_UNIT_ENDING = re.compile(r"(\w+)_(mm|cm|um)", re.IGNORECASE)
 
 
 @dataclass

@@ -55,7 +55,7 @@ from needlefit.project.toml import locate_key
 from needlefit.project.unit_warnings import format_place
 from needlefit.schemas.dataset import MIN_SD_MM, DatasetRecord, NoiseRecord
 
-_FIELD = re.compile(r"\{([^{}]*)\}")  # a column in `id_template`
+_FIELD = re.compile(r"\{([^{}]*)\}")  # pattern of a column in `id_template`
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from needlefit.arrays import Floats, pad_axis
 from needlefit.errors import DataError
 from needlefit.schemas.scene import PlacementRecord
 
-PARALLEL_SINE = 1e-6  # sine of the angle under which two directions count as parallel
+PARALLEL_SINE = 1e-6  # sine of the angle below which two directions count as parallel
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ PatientSystem = Literal["LPS", "RAS"]
 AXIS_SIGNS = {"LPS": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0)}
 # The patient's frame where world coordinates are patient coordinates.
 IDENTITY_FRAME = Frame(np.zeros(3), np.eye(3))
-# From RAS to LPS, and back: x and y change their signs.
+# frame that converts RAS to LPS, and back: x and y change their signs
 RAS_TO_LPS = Frame(np.zeros(3), np.diag([-1.0, -1.0, 1.0]))
 
 

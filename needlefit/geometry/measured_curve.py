@@ -27,7 +27,7 @@ MIN_SAMPLES = 200  # smallest number of places at which a whole curve is integra
 EQUAL_STEP_SD = 4.0
 # deviations of noise by which the foot of an end may lie off the even spacing; beyond, the foot is its place:
 # many tables end with the tip, at less than a whole step
-END_STEP_SD = 3.0  # the same for the first and the last step, by the foot of the end
+END_STEP_SD = 3.0
 MIN_EQUAL_STEPS = 0.9  # smallest fraction of usual steps at which points count as evenly spaced
 # largest noise along the needle over that across it at which points count as evenly spaced
 MAX_NOISE_RATIO = 1.5

@@ -33,7 +33,7 @@ MAX_OFFSET_MM = 0.1
 MAX_LEAN = 1e-3  # largest tilt of the stack, as a sine: axes are written to three decimals or better
 # Modalities whose values are attenuations; converters leave the entry out, or write OT (other).
 XRAY_MODALITIES = ("", "CT", "XA", "RF", "DX", "PX", "IO", "OT")
-# What these entries may be; "" where there is none.
+# allowed values of these entries; "" where there is none
 PLAIN_ENTRIES = {
     "NumberOfFrames": ("", "1"),
     "SamplesPerPixel": ("", "1"),

@@ -250,8 +250,8 @@ def check_layers(scan: Scan, layers: Layers, points: Floats) -> Iterator[str]:
         )
 
 
-# What the steps of a needle's reconstruction are called, and percent of its time that pass before each: of a
-# DICOM series of 400 slices reading takes the most, of a needle in slices its axis.
+# names of the steps of a needle's reconstruction, and percent of its time that pass before each: of a DICOM
+# series of 400 slices reading takes the most, of a needle in slices its axis
 STAGES = {
     "needle": 40,
     "markers": 42,

@@ -135,7 +135,7 @@ class Scan:
 
 
 STAGE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg")
-# By the field of a row: the columns of vectors (the point is placed by hand in the scan, LPS).
+# columns of vectors by the field of a row (the point is placed by hand in the scan, LPS)
 VECTORS = {
     "stage": STAGE_COLUMNS,
     "bevel": BEVEL_COLUMNS,

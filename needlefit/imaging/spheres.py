@@ -66,9 +66,9 @@ def _list_waves(reach: float) -> tuple[Floats, Floats]:
     return j0(np.outer(grid, across)), np.cos(np.outer(along, grid))
 
 
-# What the 13 parameters are: centre of the ball, mm; logarithm of its own HU; logarithm of the blur in the
+# places of the 13 parameters: centre of the ball, mm; logarithm of its own HU; logarithm of the blur in the
 # slices, mm, and the kernel's boost; logarithm of the blur across them; the background's lower level and its
-# step, HU; the step's direction over its width, 1/mm, and its offset.
+# step, HU; the step's direction over its width, 1/mm, and its offset
 CENTER, SPREAD, FACE, OFFSET = slice(0, 3), slice(4, 7), slice(9, 12), 12
 HEIGHT, _, _, _, LEVEL, STEP = range(3, 9)
 

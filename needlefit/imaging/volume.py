@@ -23,8 +23,9 @@ from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_byte
 
 # largest number of voxels that are read, 1024^3: 4 GB in memory, unless the user states another number
 DEFAULT_MAX_VOXELS = 2**30
-# spacings of real scans (mm); outside, the unit of the file is not mm
-SPACINGS_MM = (1e-3, 50.0)  # from the finest micro-CT to the thickest slices
+# spacings of real scans (mm), from the finest micro-CT to the thickest slices; outside, the unit of the file
+# is not mm
+SPACINGS_MM = (1e-3, 50.0)
 # largest deviation of axes from right angles and unit length, as cosines printed with four decimals have
 AXES_COSINE_TOLERANCE = 2e-4
 # largest tilt (degrees): a gantry tilts by 30 at most; its slices then lean over one another by as much

@@ -167,8 +167,8 @@ def _take_points(insertion: Insertion, _: float, __: int, other: Insertion) -> I
     return replace(pasted, sections=insertion.sections)
 
 
-#: by cause. A needle whose last part and depth were left out lies as predicted, within 3 SD at 0.02 mm of
-#: noise: the shape that is left is nearly that at the smaller depth
+# hypotheses by cause. A needle whose last part and depth were left out lies as predicted, within 3 SD at 0.02
+# mm of noise: the shape that is left is nearly that at the smaller depth
 HYPOTHESES: Mapping[str, Hypothesis] = {
     "mirrored": Hypothesis(lambda insertion, *_: insertion.map_points(lambda points: points * [1, -1, 1])),
     "exchanged_axes": Hypothesis(

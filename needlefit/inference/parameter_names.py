@@ -19,11 +19,13 @@ NOISE_SCALE = "noise_scale"
 BEVEL_SPREAD = "bevel_spread"
 #: smallest bevel of an insertion over the mean: a normal distribution does not end at zero
 MIN_BEVEL_FACTOR = 0.05
-BEVEL_PARAMETERS = ("bevel_mm", "cut_angle_deg")  #: how strongly a needle steers; a medium has one of them
+#: names of the parameter of how strongly a needle steers; a medium has one of them
+BEVEL_PARAMETERS = ("bevel_mm", "cut_angle_deg")
 #: bounds of an estimated scale of the noise; its prior is flat in the logarithm
 NOISE_SCALE_BOUNDS = (0.1, 10.0)
 BEVEL_SPREAD_BOUNDS = (0.01, 5.0)  #: bounds of the spread, in standard deviations of its half-normal prior
-HYPERPARAMETERS = (NOISE_SCALE, BEVEL_SPREAD)  #: of the likelihood: no simulated needle depends on them
+#: names of parameters of the likelihood: no simulated needle depends on them
+HYPERPARAMETERS = (NOISE_SCALE, BEVEL_SPREAD)
 _NAME = re.compile(
     r"([a-z]+(?:_[a-z]+)*)[1-9]\d*(_pa)?|(?:bevel|guide_distance)_mm|cut_angle_deg|noise_scale|bevel_spread"
 )

@@ -328,7 +328,8 @@ def find_new_bevel_sd(
 
 
 POSTERIOR_TOLERANCE = 1e-9  #: change of the log posterior under which a search for its peak ends
-#: the same change on the way to where a search begins: small enough to see which starts met
+#: change of the log posterior under which the way to the beginning of a search ends: small enough to see
+#: which starts met
 APPROACH_TOLERANCE = 1e-6
 
 

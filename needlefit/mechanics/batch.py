@@ -165,6 +165,7 @@ class Batch:
         return needle, tuple(steps)
 
 
+#: fields with the shape that they have in `tissue`, behind that of the sets
 OF_LAYERS = (
     "mu",
     "shape",

@@ -113,7 +113,7 @@ class TrackedTip:
             )
 
 
-#: what a `Controls` gives of base and stage: first in the plane, then across it
+#: fields of a `Controls` for base and stage: first in the plane, then across it
 BASE_INPUTS = ("base_y", "base_slope", "stage_slope", "base_z", "base_slope_z", "stage_slope_z")
 
 

@@ -98,7 +98,8 @@ def check_fault(fault: int) -> None:
 #: place of the laws' shape parameters in `column_of`: `ColumnKind` of `native/derivatives.hpp`
 SHAPE_COLUMN = 1
 _SET_ARRAYS = {name for name, (_, shape) in _ARRAYS.items() if "sets" in shape}
-_SET_SIZES = ("layers", "shapes", "numbers", "bevels", "inputs", "planes")  # their further axes
+# names of the further axes of the arrays above
+_SET_SIZES = ("layers", "shapes", "numbers", "bevels", "inputs", "planes")
 
 
 class KernelProblem(ctypes.Structure):

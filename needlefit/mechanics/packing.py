@@ -208,7 +208,7 @@ def pack_stops(stops: Sequence[TipStop], past: int = 0) -> PackedStops:
     return PackedStops(packed, bevels, controls, stops[-1], 1 + max(stop.ray for stop in stops))
 
 
-#: what a set of `batch.Batch` may give of the base: its plane, and its place there in `Controls.base`
+#: values of the base that a set of `batch.Batch` may give: its plane, and its place there in `Controls.base`
 BASE_VALUES = {"base_y": (0, 0), "base_slope": (0, 1), "base_z": (1, 0), "base_slope_z": (1, 1)}
 #: inputs of a set, or of a derivative, that take a needle out of its plane
 INPUTS_ALONG_Z = ("roll", "base_z", "base_slope_z", "stage_slope_z")

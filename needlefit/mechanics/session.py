@@ -26,7 +26,7 @@ from needlefit.schemas.limits import MAX_ELEMENTS, MAX_GUIDES, MAX_STEPS
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_OPTIONS = ModelOptions()
 T = TypeVar("T")
-# None stands for a tip that is not tracked, so a further value is needed for `as it was`.
+# value for `as it was`: None stands for a tip that is not tracked
 _UNCHANGED: Any = object()
 
 
@@ -291,7 +291,7 @@ class Session:
         )
 
 
-#: a session's stops are planned by the kernel
+#: stops of a session, which the kernel plans
 _NO_STOPS = PackedStops(np.zeros(1, native.STOP), (0,), (0,), TipStop(0.0, 0, False, 0, False, 0, 0), 1)
 
 

@@ -13,7 +13,7 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.curves import ComparedCurves, Quantity
 from needlefit.registry import Registry
 
-#: of units that are no letters, in names
+#: words in names for units that are no letters
 UNIT_WORDS = {
     "times the noise": "noise",
     "%": "percent",
@@ -170,13 +170,13 @@ OVER_NOISE = Metric(
     "Error",
     "times the noise",
     "TE, or RMS of readings or curvatures, over its noise floor, where needles are measured in several ways.",
-    compute=lambda curves: math.nan,  # of tables of errors alone
+    compute=lambda curves: math.nan,
     has_floor=False,
     headline=True,
     order=5,
     quantity="noise",
     missed="measurements",
-)
+)  # metric of tables of errors alone
 
 CURVATURE_RMS = Metric(
     "curvature_rms_1_per_m",

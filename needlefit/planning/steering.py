@@ -94,7 +94,7 @@ CERTAIN_RISK = 0.99  #: smallest risk of a choice that counts as one that misses
 
 ENTRY, DEPTH, BASE_Y, BASE_SLOPE, ROLL = range(5)
 """Places in the inputs of a choice: entry, depth, base (mm), slope of the base; in space roll (degrees)."""
-MOVED = [ENTRY, BASE_Y, BASE_SLOPE]  #: what `PlanLimits` limits
+MOVED = [ENTRY, BASE_Y, BASE_SLOPE]  #: places of the inputs that `PlanLimits` limits
 #: steps of difference quotients by the inputs, in their order
 DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05, 1e-3, 0.5])
 

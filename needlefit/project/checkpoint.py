@@ -99,7 +99,7 @@ class Checkpoint:
         return self.folder / f"{hashlib.sha256(work.encode()).hexdigest()[:16]}.jsonl"
 
 
-NO_CHECKPOINT = Checkpoint(None)  # keeps nothing
+NO_CHECKPOINT = Checkpoint(None)  # checkpoint that keeps nothing
 
 
 def _parse_row(line: bytes) -> dict[str, Any] | None:

@@ -40,7 +40,8 @@ CHECKED_PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "trimesh")
 """Packages that results depend on; their versions are equal everywhere."""
 
 _ONE_AT_A_TIME = threading.Lock()
-"""A worker of several threads runs one task at a time: limits of linear algebra hold for a whole process."""
+"""Lock of a worker of several threads, which runs one task at a time: limits of linear algebra hold for a
+whole process."""
 
 
 @dataclass(frozen=True)

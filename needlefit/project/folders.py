@@ -102,10 +102,10 @@ MANIFEST = "needlefit.json"
 FORMAT = 1  # version of the format of results, which their manifest states
 
 FILE_MANAGER_FILES = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})
-"""What a file manager leaves in a folder that it shows; nobody's work."""
+"""Names of files that a file manager leaves in a folder that it shows; nobody's work."""
 
 TIMING_FILE = "timing.json"
-"""The one file of a result that differs from run to run; without its digest the manifest does not."""
+"""Name of the one file of a result that differs from run to run; without its digest the manifest does not."""
 
 MAX_LISTED_FILES = 5  # largest number of files that a message names
 CHANGED = "was changed since it was written"
@@ -252,7 +252,7 @@ def is_regular(path: Path) -> bool:
 # ---- writing beside, and putting in place
 
 LOCK_NAME = "lock"
-"""A file that the process which writes to a folder holds locked, until it ends."""
+"""Name of the file that the process which writes to a folder holds locked, until it ends."""
 
 
 def take_lock(folder: Path) -> "BaseFileLock":

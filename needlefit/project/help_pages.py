@@ -8,7 +8,7 @@ from functools import cache
 from needlefit.project.input_files import read_text
 from needlefit.project.locate import shipped_folder
 
-TROUBLESHOOTING_PAGE = "docs/troubleshooting.md"  # has a section for every kind of warning
+TROUBLESHOOTING_PAGE = "docs/troubleshooting.md"  # page with a section for every kind of warning
 
 _SECTION_PATTERN = re.compile(
     r"^\((?P<key>[\w-]+)\)=\n#+ (?P<title>.+)\n(?P<body>(?:(?!\([\w-]+\)=|#).*\n)*)", re.MULTILINE

@@ -110,11 +110,11 @@ def parse_json(text: str, where: str) -> Any:  # noqa: ANN401 - whatever the tex
 
 #: largest depth of tables and lists within each other; no file of needlefit has more than eight
 MAX_NESTING = 50
-# A key of thousands of parts, of which the parser would take the square.
+# pattern of a key of thousands of parts, for which the parser would take the square of their number
 _DEEP_KEY = re.compile(rf"""(?:\.\s*+(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')\s*+){{{MAX_NESTING}}}""")
 
 
-# A line that gives a key numbers, or lists of them, as JSON writes them.
+# pattern of a line that gives a key numbers, or lists of them, as JSON writes them
 _ARRAY = re.compile(
     r"^(\w++) = (\[(?:[-\d.eE, ]*+|(?:\[[-\d.eE, ]*+\],?+ ?+)++)\])$", re.ASCII | re.MULTILINE
 )

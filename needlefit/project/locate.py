@@ -26,7 +26,7 @@ _PATTERNS: dict[FileKind, str] = {
     "reconstruction": "configs/reconstruction/{name}.toml",
 }
 PROJECT_FOLDERS = ("data", "configs", "studies")
-EVERY_STUDY = "all"  # the studies of the paper and the fits of its tuning tables, reported together
+EVERY_STUDY = "all"  # name of the studies of the paper and the fits of its tuning tables, reported together
 PAPER_STUDIES = ("study1", "study2", "study3", "study4", "study5")
 PAPER_FITS = ("phantom1", "phantom2", "phantom3", "chicken")
 MAX_LISTED_NAMES = 40  # largest number of names that a message lists, the nearest first

@@ -40,7 +40,8 @@ READER_SECONDS = 8  # largest processor time of a reader (s), besides what the s
 WALL_SECONDS = 60  # longest time (s) that a reader may take, besides four times its processor time
 MAX_ANSWER_BYTES = 16 * 2**20  # largest size of a reader's answer, as JSON (bytes)
 
-_ONE_THREAD = (*THREAD_VARIABLES, "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS", "MALLOC_ARENA_MAX")  # all 1
+# environment variables that are all 1
+_ONE_THREAD = (*THREAD_VARIABLES, "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS", "MALLOC_ARENA_MAX")
 
 Arrays = dict[str, NDArray[Any]]
 

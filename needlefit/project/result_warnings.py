@@ -37,7 +37,7 @@ class ResultWarning:
         return f"{head}; {self.fix}" if self.fix else head
 
 
-#: what stays open in a dataset: `needlefit check` prints these warnings in full
+#: names of open points of a dataset: `needlefit check` prints these warnings in full
 OPEN_POINTS = {"placeholder": "texts to fill in", "assumed": "assumptions of the import"}
 
 

@@ -99,7 +99,7 @@ class LocalPool:
                 event.set()
 
 
-THIS_PROCESS = LocalPool()  # one task at a time, in this process
+THIS_PROCESS = LocalPool()  # pool that runs one task at a time, in this process
 
 
 def as_finished(

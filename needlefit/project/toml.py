@@ -62,7 +62,7 @@ def check(tables: dict[str, Any], kind: type[R], where: Path | str) -> R:
 # ---- what a program gives
 
 IN_MEMORY = "given in Python"
-"""Stands in a result for the name of what has none."""
+"""Words in a result in place of the name of what has none."""
 
 
 def read_given(kind: FileKind, value: str | Path | F | Mapping[str, Any], record: type[F]) -> tuple[F, str]:

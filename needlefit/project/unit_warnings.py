@@ -19,7 +19,8 @@ LENGTH_TO_DIAMETER = (20.0, 1000.0)
 # EI (N mm2), least and most: a nitinol wire of 0.15 mm has 2, a steel rod of 3 mm 800 000
 RIGIDITY_NMM2 = (1.0, 2e6)
 MODULUS_GPA = (0.5, 1000.0)
-"""Young's modulus of a needle: polymers have 1 to 5, nitinol 40 to 80, steel 200, tungsten carbide 700."""
+"""Young's modulus of a needle (GPa), least and most: polymers have 1 to 5, nitinol 40 to 80, steel 200,
+tungsten carbide 700."""
 NO_MODULUS_GPA = (6.0, 10.0)
 """Moduli (GPa) between the stiffest polymers and the softest composites: no material of needles has them."""
 MU_PA = (300.0, 1e8)
@@ -38,7 +39,7 @@ CUT_ANGLE_DEG = (0.2, 45.0)
 ANGLE_UNITS = {"radians": math.degrees(1)}  # degrees in each unit of an angle
 CUT_ANGLES = (CUT_ANGLE_DEG, ANGLE_UNITS)
 ANGLE_SD_DEG = (0.02, 20.0)
-"""Standard deviation of a measured direction, least and most: 0.02 mm over 60 mm are 0.02 degrees."""
+"""SD of a measured direction (degrees), least and most: 0.02 mm over 60 mm are 0.02 degrees."""
 BOUNDARY_TO_DEPTH = 2e-3
 """Smallest thickness of the first layer over the depth of the insertion: a skin of 0.1 mm before 50 mm."""
 # smallest depth of the last of several boundaries over that of the deepest insertion
@@ -49,7 +50,7 @@ LENGTH_UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0, "micrometres
 MICROMETRES = 1e3  # number of micrometres in a millimetre
 
 MODULUS_UNITS = {"Pa": 1e-9, "MPa": 1e-3, "kPa": 1e-6, "psi": 6.894757e-6}
-"""Gigapascals in each."""
+"""Gigapascals in each unit of a modulus."""
 
 DIAMETER_MM = (0.15, 5.0)  # outer diameter of a needle (mm), least and most: 34 gauge has 0.18, 10 gauge 3.4
 MIN_INNER_DIAMETER_MM = 0.05  # smallest inner diameter of a tube (mm): 34 gauge has 0.08

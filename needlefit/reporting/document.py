@@ -143,7 +143,7 @@ def _bind_words(value: Any) -> Any:  # noqa: ANN401 - text, runs of text, or wha
 
 
 _WORDS_KEYS = ("text", "items", "caption", "notes", "rows", "columns", "label", "unit")
-"""Of blocks, and of what they hold: keys whose values are printed."""
+"""Keys of blocks, and of what they hold, whose values are printed."""
 
 
 def _number_blocks(document: Document) -> Iterator[Block]:

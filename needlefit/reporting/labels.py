@@ -27,7 +27,7 @@ METHOD_COLOURS = {  # Okabe and Ito's palette, distinguishable for colour-blind 
 }
 """Colours of methods that are no baseline; `method_colour` knows those too."""
 SERIES_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")
-"""Of series without a colour of their own (Okabe and Ito)."""
+"""Colours of series without one of their own (Okabe and Ito)."""
 
 SPECIMEN_NAMES = {
     "others": "new specimen",

@@ -37,7 +37,7 @@ from needlefit.project.input_files import to_json_values
 if TYPE_CHECKING:
     from needlefit.inference.forward_model import ParameterDraws
 
-SCRIPT = "reporting/needle_page.js"  #: made of the page's modules by `npm run build`
+SCRIPT = "reporting/needle_page.js"  #: file of the page's modules, made by `npm run build`
 PAGE = "viewer/page/page.html"
 STAGE = "viewer/page/stage.html"
 STYLES = ("viewer/page/style.css", "viewer/page/controls.css")

@@ -14,7 +14,8 @@ _PARAMETER_PATTERN = re.compile(
     r"\b(?:mu\d+(?:_pa)?|[a-z_]+[1-9]\d*|bevel_mm|cut_angle_deg|guide_distance_mm|bevel_spread)\b"
 )
 _POWER_PATTERN = re.compile(r"\b\d(?:\.\d+)?e-?\d+\b")
-_MINUS_PATTERN = re.compile(r"(?<![\w^.-])-(?=\d)")  # of a number of its own, not of an exponent or a range
+# pattern of the minus of a number, not of an exponent or a range
+_MINUS_PATTERN = re.compile(r"(?<![\w^.-])-(?=\d)")
 _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _STRESS_UNITS = ((1e6, "MPa"), (1e3, "kPa"))

@@ -59,10 +59,10 @@ FORMATS: Mapping[str, Callable[[Any], str]] = {
     "metric": lambda name: METRICS[name].label if name in METRICS else name,
     "symbol": format_symbol,
 }
-"""How the cells of a column are printed, by the name of the format."""
+"""Functions that print the cells of a column, by the name of the format."""
 
 TEXT_FORMATS = ("text", "prose", "flag", "medium", "method", "metric", "symbol")
-"""Of columns that stand at the left; "prose" takes the remaining width."""
+"""Formats of columns that stand at the left; "prose" takes the remaining width."""
 
 # name of the format of values in the unit of the metric that the row names
 METRIC_FORMAT = "error"

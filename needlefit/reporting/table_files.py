@@ -77,7 +77,7 @@ _PATTERNS = {
     r"(?P<name>low|high)_(?P<level>50|95)(?P<unit>_mm|)": "{name}{unit}",
     r"p(?P<probability>\d+(?:[._]\d)?)": "value",
 }
-"""By pattern of a wide name: the tidy one. Groups are index columns, but for `name` and `unit`."""
+"""Tidy names by pattern of a wide name. Groups are index columns, but for `name` and `unit`."""
 
 _METRIC_VALUES = {"{metric}": "value", "floor_{metric}": "floor"}
 _PREDICTION_SCORE = re.compile(r"(tip|shape)_(crps_mm|interval_score_mm|in_50|in_95)")

@@ -8,7 +8,7 @@ import unicodedata
 
 from needlefit.errors import ConfigError
 
-FORMULA_STARTS = frozenset("=+-@")  #: what begins a formula in a spreadsheet
+FORMULA_STARTS = frozenset("=+-@")  #: characters that begin a formula in a spreadsheet
 
 #: largest size of a name (bytes): a file system takes 255, and what is written of a name has endings
 MAX_NAME_BYTES = 200

@@ -7,7 +7,7 @@ from typing import Literal
 #: "example": those of the workbook that ships
 Origin = Literal["measured", "example", "synthetic"]
 
-#: What stands beside every result, wherever it is shown; beside measured data nothing.
+#: marks beside every result, wherever it is shown; beside measured data there is none
 ORIGIN_MARKS: Mapping[Origin, str] = MappingProxyType(
     {"measured": "", "example": "EXAMPLE data, simulated", "synthetic": "SYNTHETIC data"}
 )

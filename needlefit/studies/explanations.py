@@ -139,7 +139,7 @@ def _field_docstrings(record: type) -> dict[str, str]:
     }
 
 
-TYPES = {float: "float", int: "integer", str: "string", bool: "boolean"}  # as TOML calls them
+TYPES = {float: "float", int: "integer", str: "string", bool: "boolean"}  # names of types in TOML
 LIMITS = {
     **{"ge": "≥ {:g}", "gt": "> {:g}", "le": "≤ {:g}", "lt": "< {:g}"},
     **{"min_length": "at least {}", "max_length": "at most {}"},

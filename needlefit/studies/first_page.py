@@ -25,7 +25,7 @@ from needlefit.reporting.text import KindText
 # ---- what a run found
 
 Status = Literal["none", "pass", "warn", "fail"]
-#: from the best to the worst; "none" where nothing was tested, as of a prediction: it has no badge
+#: statuses from the best to the worst; "none" where nothing was tested, as of a prediction: it has no badge
 STATUSES: tuple[Status, ...] = ("none", "pass", "warn", "fail")
 
 MAX_NAMED_NEEDLES = 3  #: largest number of needles that are named where a verdict depends on any one of them
@@ -203,10 +203,10 @@ def tabulate_checks(findings: Sequence[Finding]) -> pd.DataFrame:
     return pd.DataFrame([asdict(finding) for finding in findings], columns=columns)
 
 
-#: how the last paragraphs of a first page begin
+#: beginnings of the last paragraphs of a first page
 WHAT_TO_DO, METHOD = "What to do.", "Method."
 
-VERDICTS_KEY, CHECKS_KEY = "verdicts", "checks"  #: of `--json`
+VERDICTS_KEY, CHECKS_KEY = "verdicts", "checks"  #: keys of the output of `--json`
 
 
 # ---- what to do: of what was found the first row here is the advice, in the words of `advice.md.j2`

@@ -36,7 +36,7 @@ from needlefit.studies.judge import MAX_NOISE_RATIO, REFERENCES, judge
 from needlefit.studies.prediction_scores import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.run import NEW_SPECIMEN, TUNED_SPECIMENS, FitFrames, Run, value_of_run
 
-#: the sentences of fits and cross-validations
+#: sentences of fits and cross-validations
 TEXT = KindText("cross_validation")
 
 
@@ -188,7 +188,7 @@ def lay_out_matrix(runs: Sequence[Run]) -> TableLayout:
     return _lay_out(Table("matrix", rows, columns), drop_empty=True, max_ratio=MAX_NOISE_RATIO)
 
 
-#: by recipe that of the same fit whose specimens are of one batch
+#: recipe of the same fit whose specimens are of one batch, by recipe
 BATCH_RECIPES = {"default": "one_batch"}
 
 
@@ -487,7 +487,7 @@ def _format_end(end: float, unit: float = 1.0, digits: int = END_DIGITS) -> str:
     return format_plain(round_significant(end / unit, digits))
 
 
-#: what the intervals of parameters are from, by `draw_source`, but for a sampled posterior
+#: words for what the intervals of parameters are from, by `draw_source`, but for a sampled posterior
 SOURCES = {"importance": "importance sampling", "profile": "profile likelihood"}
 
 
@@ -547,7 +547,8 @@ def find_known_combination(run: Run) -> str:
     return next((str(row["note"]) for row in determined if row["parameters"] > 1), "")
 
 
-CHAIN_COLUMNS = ("r_hat", "ess", "autocorrelation_time", "acceptance")  #: how a sampled posterior converged
+#: columns of the convergence of a sampled posterior
+CHAIN_COLUMNS = ("r_hat", "ess", "autocorrelation_time", "acceptance")
 
 
 def tabulate_percentiles(run: Run) -> pd.DataFrame:

@@ -242,8 +242,8 @@ def _find_outside_modes(run: Run) -> Iterator[Row]:
         yield {"parameter": row["parameter"], "value": row["value"], "fold": fold, **ends}
 
 
-#: of fits and cross-validations, by the kind of the warning, which programs may rely on: run -> the values of
-#: the text, for each case found
+#: rules of fits and cross-validations, by the kind of the warning, which programs may rely on: run -> the
+#: values of the text, for each case that applies
 RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
     "validity": _find_outside,
     "parameter_at_bound": _find_bounds,

@@ -34,17 +34,17 @@ from needlefit.reporting.number_format import (
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
 
-#: Of the table "identification": per fold and free parameter the information (`sd`), the profile likelihood
-#: (the 95 % interval, how its ends came about, how far the deviance rises at most), and posterior SD over
-#: prior SD.
+#: columns of the table "identification": per fold and free parameter the information (`sd`), the profile
+#: likelihood (the 95 % interval, how its ends came about, how far the deviance rises at most), and posterior
+#: SD over prior SD
 IDENTIFICATION_COLUMNS = (
     *("fold", "parameter", "determined", "note", "value", "prior_sd"),
     *("sd", "fisher_sd", "sd_ratio", "low", "high", "end_low", "end_high"),
     *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
     *("rise", "tip_shift_mm"),
 )
-#: Of the table "profiles": deviances and their derivatives by ln (by alpha itself); then a column per
-#: parameter.
+#: columns of the table "profiles": deviances and their derivatives by ln (by alpha itself); then a column per
+#: parameter
 PROFILE_COLUMNS = ("fold", "parameter", "value", "deviance", "slope", "threshold")
 
 FROM_PRIOR = "from the prior"  #: words for what limits a parameter whose posterior is about its prior

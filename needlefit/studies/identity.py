@@ -134,7 +134,7 @@ def has_data(recorded: RunMetadata, dataset: Dataset) -> bool:
 
 # ---- what decides a result, as `run.json` states it
 
-#: whose versions decide the result of a study
+#: packages whose versions decide the result of a study
 PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "pandas", "trimesh")
 
 

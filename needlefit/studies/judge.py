@@ -48,7 +48,7 @@ from needlefit.studies.prediction_scores import (
 from needlefit.studies.run import PREDICTION_METHOD, FitFrames, Run, value_of_run
 from needlefit.studies.scored_groups import TE, pool_insertions
 
-REFERENCES = ("straight", "constant_curvature")  #: the curves that one fit is compared with
+REFERENCES = ("straight", "constant_curvature")  #: curves that one fit is compared with
 #: smallest number of independent trials with which differences are tested
 MIN_TRIALS = 3
 #: largest tip error over the measurement noise at which the model errs no more than the measurements

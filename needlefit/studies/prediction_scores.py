@@ -86,7 +86,7 @@ class PredictedScore(NamedTuple):
     covered: str  #: what their names of coverage begin with: the tip alone, or all that was read of a needle
 
 
-#: by metric of verdicts
+#: scores of predictions by metric of verdicts
 PREDICTED = {
     TE.name: PredictedScore("tip_crps_mm", "tip"),
     TRACK_RMS.name: PredictedScore(SHAPE_CRPS, "tip"),

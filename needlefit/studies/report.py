@@ -314,7 +314,7 @@ def list_data_notes(run: Run) -> list[str]:
     return [*([describe_needles(data.needles)] if data.needles else []), *data.notes]
 
 
-_OMITTED_DATA_KEYS = ("notes", "origin", "rigidity")  #: of a dataset: they stand elsewhere in a report
+_OMITTED_DATA_KEYS = ("notes", "origin", "rigidity")  #: keys of a dataset that stand elsewhere in a report
 
 
 def _format_value(value: object) -> str:

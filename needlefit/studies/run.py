@@ -222,14 +222,14 @@ def value_of_run(
 
 FIT_KINDS = ("cross_validation", "fit")  #: kinds of study whose runs have these tables
 
-#: in place of a specimen's name: those that were tuned on, together, and one that is not in the dataset
+#: words in place of a specimen's name: those that were tuned on, together, and one that is not in the dataset
 TUNED_SPECIMENS, NEW_SPECIMEN = "(tuned)", "(new)"
 
 #: name of our prediction as a method: the needle of the posterior mode, through the layers that it meets
 #: itself, or the median needle
 PREDICTION_METHOD = "prediction"
-#: the methods that simulate a needle: both fits, b fitted alone with the others as they are before any data,
-#: and the paper's parameters
+#: methods that simulate a needle: both fits, b fitted alone with the others as they are before any data, and
+#: the paper's parameters
 MODEL_METHODS = ("fitted", "fitted_metric", "b_alone", "hand_tuned")
 
 

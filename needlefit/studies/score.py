@@ -107,7 +107,7 @@ def make_predictors(
     return models | {name: predict_by(name) for name in baselines}
 
 
-#: how curves are compared, by what is known of their poses
+#: comparisons of curves, by what is known of their poses
 COMPARISONS: Mapping[InsertionPose, str] = {
     "known": "world",
     "direction": "shifted",

@@ -137,7 +137,7 @@ _DESCRIPTION_COLUMNS = ("layer_count_rule", "comparison", "compared", "origin")
 COLUMNS = (*_GROUP_COLUMNS, *_SCORE_COLUMNS, *_DESCRIPTION_COLUMNS)  #: columns of both tables
 #: metric of verdicts, of warnings about them, and of every comparison of methods in words
 TE = "te_mm"
-#: by table the value of its column `grouping`: insertions held out, or fitted to, by medium and layers
+#: value of the column `grouping` by table: insertions held out, or fitted to, by medium and layers
 GROUPINGS = {"validation": "held_out", "tuning": "layers"}
 
 

@@ -25,7 +25,7 @@ MAX_COLUMNS = 1000  # largest number of columns
 MAX_CELLS = 4_000_000  # largest number of cells
 MAX_SHOWN_CHARS = 60  # longest part of a cell in a message (characters)
 MAX_SHOWN_COLUMNS = 30  # largest number of columns in a message
-_NAME = re.compile(r"[^\W\d][\w .()\[\]/%^-]{0,39}")  # what may be the name of a column
+_NAME = re.compile(r"[^\W\d][\w .()\[\]/%^-]{0,39}")  # pattern of the name of a column
 # largest number of bad cells of a column that are listed one by one; the rest is counted
 MAX_LISTED_CELLS = 5
 MISSING_COLUMN_FIX = "add it, or rename a column; dataset.toml can name it under `columns`"

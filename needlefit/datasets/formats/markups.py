@@ -27,13 +27,14 @@ SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     "markups-schema-v1.0.3.json#"
 )
-CURVE_KINDS = ("Curve", "Fiducial")  # lists whose points, in their order, can be a centreline
+CURVE_KINDS = ("Curve", "Fiducial")  # kinds of lists whose points, in their order, can be a centreline
 SAVE_AGAIN_FIX = "save the list again in Slicer, as Markups JSON"
 
 # Columns of a .fcsv file that does not name them; from Slicer 5 on one follows with the status of the point.
 FCSV_COLUMNS = ("id", "x", "y", "z", "ow", "ox", "oy", "oz", "vis", "sel", "lock", "label", "desc", "node")
 FCSV_KEYS = {"label": "label", "description": "desc"}
-FCSV_SYSTEMS = {"0": "RAS", "1": "LPS"}  # until 2019 by numbers
+# coordinate systems by their numbers, which stood in files until 2019
+FCSV_SYSTEMS = {"0": "RAS", "1": "LPS"}
 FCSV_DEFINED = "2"  # status of a point that was placed
 MAX_FCSV_CHARS = 10_000  # longest line that is read (characters)
 _FCSV_HEADER = re.compile(r"#\s*([^=]*?)\s*=\s*(.*?)\s*$")

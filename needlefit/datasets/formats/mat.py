@@ -16,10 +16,10 @@ from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
 from needlefit.project.reader_process import BYTES_PER_SECOND, Arrays, read_in_process, stated_memory_bytes
 
-SIGNATURE = b"\x89HDF\r\n\x1a\n"  # of HDF5, which MATLAB uses from version 7.3 on
+SIGNATURE = b"\x89HDF\r\n\x1a\n"  # signature of HDF5, which MATLAB uses from version 7.3 on
 # possible places (bytes) of the signature behind MATLAB's own header
 SIGNATURE_OFFSETS = (0, 512, 1024, 2048)
-NUMPY_SIGNATURES = (b"PK", b"\x93NUMPY")  # of archives and arrays of numpy (.npz, .npy)
+NUMPY_SIGNATURES = (b"PK", b"\x93NUMPY")  # signatures of archives and arrays of numpy (.npz, .npy)
 MAX_SHOWN_VARIABLES = 20  # largest number of variables that a message lists
 MAX_EXPANSION = 8  # largest memory that the content of a file may take, as a multiple of the file's size
 EXPECTED_ARRAYS = "N x 3 or N x 2 arrays of numbers, or fields x, y and z, entry first"

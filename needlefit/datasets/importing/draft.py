@@ -12,7 +12,7 @@ from needlefit.schemas.mapping import MappingRecord, TableRecord
 
 TABLE_KEYS = tuple(key for key in TableRecord.model_fields if key not in ("files", "columns"))
 KEYS = ("unit", "origin", "surfaces", *TABLE_KEYS, *MEANINGS)
-PARSED_PARTS = ("words", "sign")  # of a meaning; the others are texts
+PARSED_PARTS = ("words", "sign")  # parts of a meaning that are parsed; the others are texts
 
 
 class Draft:

@@ -61,11 +61,11 @@ from needlefit.project.toml import check, override
 from needlefit.project.units import UNITS_MM
 from needlefit.schemas.mapping import TableRecord
 
-# how names of sheets of the workbook to fill in begin
+# beginnings of the names of sheets of the workbook to fill in
 EXAMPLE_SHEET, SETUP_SHEET, GUIDE_SHEET = "example", "setup", "read me"
 
 
-_PAIR = re.compile(r"\d *(?:±|\+/-) *[\d.]")  # `0.6 ± 0.1`
+_PAIR = re.compile(r"\d *(?:±|\+/-) *[\d.]")  # pattern of a number with its error: `0.6 ± 0.1`
 
 
 def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path]]:

@@ -32,10 +32,11 @@ from needlefit.grouping import group_values
 from needlefit.project.locate import join_names
 from needlefit.project.units import UNITS_MM
 
-NO_POINTS = (*VECTORS, "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
+# meanings of columns x, y, z that are no points of a needle
+NO_POINTS = (*VECTORS, "target", "guide", "quaternion")
 OF_LAYERS = {*NAMED_BY_LAYER, "layers"}  # meanings of columns that state something of layers
 EXCLUDED = "excluded"  # word of rows that are left out
-_LENGTH = re.compile(r"\d+(?:[.,]\d+)?\s*(?:mm|cm)\b")  # in a header
+_LENGTH = re.compile(r"\d+(?:[.,]\d+)?\s*(?:mm|cm)\b")  # pattern of a length in a header
 MAX_FLAGS = 4  # largest number of values of a column that may mark rows to be left out
 
 

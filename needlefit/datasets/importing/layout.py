@@ -33,8 +33,8 @@ from needlefit.schemas.mapping import TableRecord
 MAX_HEADER_ROWS = 6  # largest number of rows of headers
 SAMPLE_ROWS = 300  # number of rows by which separator and decimal sign are found
 SCORE_OF_NUMBER = 5  # score of a number, or of a known header in each row below it; a cell costs 2
-_SEPARATORS = (";", "\t", ",", " ")  # in the order in which equally good ones are taken
-# Numbers in which a sign parts thousands, by their decimal sign: what is no other number.
+_SEPARATORS = (";", "\t", ",", " ")  # separators in the order in which equally good ones are taken
+# patterns, by the decimal sign, of numbers in which another sign parts thousands: what is no other number
 _GROUPED = {
     ".": re.compile(r"-?\d{1,3}((,\d{3})+\.\d+|(,\d{3}){2,})"),
     ",": re.compile(r"-?\d{1,3}((\.\d{3})+,\d+|(\.\d{3}){2,})"),
@@ -278,9 +278,10 @@ def is_comment(row: Sequence[str], comment: str) -> bool:
 
 
 BLOCK = "block"  #: header of the numbers of blocks, where there are several
-REMARKED = {"needle", "unit", "pixel", *ATTRIBUTES}  #: what a line above a table may state
-OF_TEXT = ("needle", "medium", "specimen", "medium|specimen")  #: whose values are any text
-OWN_PAIRS = ("needle", "depth", "bevel_side", "medium", "specimen")  #: they end with their block
+REMARKED = {"needle", "unit", "pixel", *ATTRIBUTES}  #: meanings that a line above a table may state
+OF_TEXT = ("needle", "medium", "specimen", "medium|specimen")  #: meanings whose values are any text
+#: meanings of pairs that end with their block
+OWN_PAIRS = ("needle", "depth", "bevel_side", "medium", "specimen")
 
 
 def _list_body(
@@ -326,8 +327,9 @@ def _list_body(
             is_above = False
 
 
-_NUMBERS = re.compile(r"(-?\d(?:[\d.,; ]*\d)?) *([^\W\d]*)")  # `15, 35 mm`
-_NEXT_PHRASE = re.compile(r"[,;，；] *(?=[^\W\d_])")  # before a word: numbers behind a comma are of a list
+_NUMBERS = re.compile(r"(-?\d(?:[\d.,; ]*\d)?) *([^\W\d]*)")  # pattern of several numbers: `15, 35 mm`
+# pattern of a sign before a word: numbers behind a comma are of a list
+_NEXT_PHRASE = re.compile(r"[,;，；] *(?=[^\W\d_])")
 
 
 def read_statements(

@@ -50,20 +50,20 @@ _FILE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="ut
 MISSING, CODES, EXPORTS = _FILE["missing"], _FILE["missing_numbers"], _FILE["exports"]
 """Cells of what was not measured; numbers that are, too, of coordinates; how to export files, by ending."""
 VALUES = MappingProxyType({key: Meaning(**parts) for key, parts in _FILE["values"].items()})
-"""What may be stated of all needles; of most keys each needle may also have a cell of its own."""
+"""Meanings of what may be stated of all needles; of most keys each needle may also have a cell of its own."""
 ROWS = MappingProxyType({key: Meaning(**parts) for key, parts in _FILE["rows"].items()})
-"""What stands in the rows of a table."""
+"""Meanings of what stands in the rows of a table."""
 MEANINGS = MappingProxyType({**VALUES, **ROWS})
 QUESTIONS = MappingProxyType({key: QuestionText(**parts) for key, parts in _FILE["questions"].items()})
 
-#: what is stated of a needle
+#: meanings of what is stated of a needle
 ATTRIBUTES = ("depth", "thickness", *(key for key, meaning in VALUES.items() if meaning.of == "needle"))
 COORDINATES = (*(key for key, row in ROWS.items() if row.parts == "points"), "guide")
-"""In the unit of points."""
+"""Meanings of numbers in the unit of points."""
 SENSOR_PLACES = ("sensor_from_base", "sensor")  #: meanings of the places of curvature sensors
-CURVATURE_AXES = ("curvature_y", "curvature_z")  #: whose greatest value is of both
+CURVATURE_AXES = ("curvature_y", "curvature_z")  #: meanings of which the largest value is of both
 VECTORS = tuple(key for key, value in VALUES.items() if value.parts == "axes")
-"""Of columns x, y, z that state something of each needle."""
+"""Meanings of columns x, y, z that state something of each needle."""
 
 
 FILE = Path(__file__).with_name("synonyms.csv")
@@ -74,16 +74,17 @@ _FACTORS = {"mm": UNITS_MM, "1/mm": UNITS_PER_MM, "1/m": _PER_M, "GPa": UNITS_GP
 # meanings whose columns may be named by their layers
 NAMED_BY_LAYER = tuple(key for key, meaning in MEANINGS.items() if meaning.parts == "layers")
 NUMBERED = (*NAMED_BY_LAYER, "deflection")  # meanings whose columns may be numbered
-# What a word beside an axis may mean without being the name of a needle: `needle x`, `depth x`.
+# meanings of a word beside an axis that need not be the name of a needle: `needle x`, `depth x`
 _POINT_WORDS = ("needle", "tip", "depth", "deflection")
-_WORD = re.compile(r"[a-z]+|\d+|[^\W\d_a-z]+", re.IGNORECASE)  # Latin and Chinese words part without a blank
+# pattern of a word: Latin and Chinese words part without a blank
+_WORD = re.compile(r"[a-z]+|\d+|[^\W\d_a-z]+", re.IGNORECASE)
 _UMLAUT = re.compile("([aou])e")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
-INDEX = re.compile(r"\[(\d+)\]")  # of an element of an array: `poses[3]`
+INDEX = re.compile(r"\[(\d+)\]")  # pattern of the index of an element of an array: `poses[3]`
 _BRACKET = re.compile(r"\s*[\[(（【]\s*([^\[\]()（）【】]+?)\s*[\])）】]")
 _ENDING = re.compile(r"(?:\s*[/,]\s*|[_\s])(1(?:[_ ]per[_ ]|/)|)([^\W\d_]+|[°%])$")
 _QUANTITY = re.compile(r"([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[-+]?\d+)?)\s*(1/|)(\D*)", re.IGNORECASE)
-_INVERSE = re.compile(r"1\s*/\s*(\w+)|(\w+)\s*\^?[-−⁻][1¹]")  # of curvatures: 1/m, m^-1
+_INVERSE = re.compile(r"1\s*/\s*(\w+)|(\w+)\s*\^?[-−⁻][1¹]")  # pattern of a unit of curvatures: 1/m, m^-1
 
 
 @dataclass(frozen=True)

@@ -33,14 +33,16 @@ from needlefit.project.toml import check, load, override
 from needlefit.schemas.mapping import MappingRecord
 
 STATED_MM = (1.0, 2000.0)  # smallest and largest length (mm) of the longest needle by a stated unit
-_GAUGE = re.compile(r"(?<![^\W_])(1\d|2\d|3[0-4]) ?G(?![^\W_])")  # of a name or a line: `22G x 150 mm`
+# pattern of a gauge in a name or a line: `22G x 150 mm`
+_GAUGE = re.compile(r"(?<![^\W_])(1\d|2\d|3[0-4]) ?G(?![^\W_])")
 # largest ratio of the longest needle to the shortest in one unit: of cm among mm it is near 10
 MAX_LENGTH_RATIO = 8.0
 WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
 POINT_DECIMALS = 3  # decimals (of mm) by which examples are recognised: another unit rounds them otherwise
 Places = frozenset[tuple[float, ...]]
 DRAFT = "the draft of the mapping"  #: name of the draft in messages
-DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")  # assumptions that are listed first
+# meanings of assumptions that are listed first
+DECISIVE = ("needle", "diameter", "modulus", "depth_zero", "bevel_side")
 
 
 @dataclass(frozen=True)

@@ -388,7 +388,8 @@ def split_names(text: str) -> set[str]:
     return {name.strip() for name in text.split(",")} - {""}
 
 
-_WORD = re.compile(r"[^\W\d_]{3,}|.*[-_ .]")  # before the name of a needle: `needle_`, `needle`
+# pattern of a word before the name of a needle: `needle_`, `needle`
+_WORD = re.compile(r"[^\W\d_]{3,}|.*[-_ .]")
 
 
 def pair_names(names: Iterable[str], others: Iterable[str]) -> dict[str, str]:

@@ -29,7 +29,8 @@ OPTIONAL_TRACK_COLUMNS = {
     **{"heading_deg": np.nan, "tip_z_mm": np.nan, "guide_z_mm": 0.0, "heading_z_deg": np.nan},
     **{"bevel_side": 1.0, "bevel_roll_deg": 0.0, "valid": 1.0, POINT_SD_COLUMN: np.nan},
 }
-NAME_COLUMNS = (NEEDLE_COLUMN, SETUP_COLUMN, HOLE_COLUMN)  # one name for all readings of a run
+# columns of names that are the same for all readings of a run
+NAME_COLUMNS = (NEEDLE_COLUMN, SETUP_COLUMN, HOLE_COLUMN)
 # smallest number of readings of a run: shift and slope take two, and a bend needs more than one. Fewer depths
 # of one hole are insertions of their own at an import.
 MIN_READINGS = 5

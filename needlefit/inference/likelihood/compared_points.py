@@ -72,7 +72,7 @@ def align_points(target: ComparedPoints, curve: Curve) -> tuple[Floats, Floats]:
     return np.column_stack([planar, simulated[:, 2]]), measured
 
 
-#: what of a frame is unknown across the needle: a shift, or a shift and a slope
+#: number of unknowns of a frame across the needle: a shift, or a shift and a slope
 LATERAL_TERMS: Mapping[InsertionPose, Literal[1, 2]] = {"direction": 1, "tracker": 2}
 
 

@@ -22,11 +22,11 @@ DepthTreatment = Literal["fixed", "linear"]
 
 #: depths, in SDs from the measured one, at which an uncertain depth is simulated besides
 DEPTH_STEPS_SD = (-1.0, 1.0)
-#: numbers in place of a layer's, where something else is shared:
-FRAME = -1  #: the tracker's frame
-BEVEL = -2  #: the bevel of one insertion that was measured at several depths
-GROUP_SLOPE = -3  #: the slope of a group of runs
-CARRIED = -4  #: the share of the guide's displacement that the tissue follows in a set-up
+#: numbers in place of a layer's, where something else is shared
+FRAME = -1  #: number of the tracker's frame
+BEVEL = -2  #: number of the bevel of one insertion that was measured at several depths
+GROUP_SLOPE = -3  #: number of the slope of a group of runs
+CARRIED = -4  #: number of the share of the guide's displacement that the tissue follows in a set-up
 ROLL_STEP_DEG = 5.0  #: change of a bevel's roll (degrees), to both sides, by which its effect is simulated
 BEVEL_STEP = 0.1  #: relative change of the bevel's offset, to both sides, by which its effect is simulated
 MIN_GAP_MM = 1e-3  #: smallest distance (mm) of moved boundaries from each other and from the entry

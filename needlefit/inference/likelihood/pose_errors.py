@@ -52,9 +52,9 @@ def pose_sds(insertion: Insertion, noise: Noise, directions: int = 1) -> Floats:
     return np.array([shift, angle, shift, shift, angle, insertion.roll_sd])[: 3 * directions]
 
 
-#: a small turn about x moves deflections (y, z) by so much of them
+#: factors of deflections (y, z) by which a small turn about x moves them
 QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
-#: the columns of `pose_modes` that are shifts across, in the plane and out of it
+#: columns of `pose_modes` that are shifts across, in the plane and out of it
 ACROSS = (0, 3)
 
 

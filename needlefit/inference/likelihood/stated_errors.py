@@ -11,7 +11,7 @@ from needlefit.errors import DataError
 from needlefit.project.toml import locate_key
 from needlefit.schemas.recipe import LikelihoodRecord
 
-PLAIN_LIKELIHOOD = LikelihoodRecord(bevel_spread=0.0)  #: all insertions have the same b
+PLAIN_LIKELIHOOD = LikelihoodRecord(bevel_spread=0.0)  #: likelihood in which all insertions have the same b
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,9 @@ MAX_R_HAT = 1.02
 #: largest distance of means of the same posterior by two methods, in standard errors; by chance 1 in 2e6
 MAX_APART = 5.0
 LOG_POSTERIOR = "log posterior"
-#: what the file keeps beside arrays; of files of other versions, whatever else they have is left out
+#: names of what the file keeps beside arrays; of files of other versions, whatever else they have is left out
 _STORED = ("names", "wanted", "burn_in", "failures", "interrupted", "sampler")
-UNITS = {"pa": "Pa", "mm": "mm", "deg": "degree"}  #: of parameters, by the endings of their names
+UNITS = {"pa": "Pa", "mm": "mm", "deg": "degree"}  #: units of parameters, by the endings of their names
 PERCENTILES = (2.5, 16.0, 50.0, 84.0, 97.5)  #: percentiles of each parameter in the table of a posterior
 
 

@@ -26,7 +26,8 @@ Numbers = NDArray[Any]  #: real or complex
 # imaginary step of complex-step differentiation, which takes no difference that would be rounded
 COMPLEX_STEP = 1e-30
 
-_TAKEN = ("mu", "friction", "boundary", "top_mm", "mu_pa", "thickness_mm")  # other numbers of a layer
+# names of other numbers of a layer
+_TAKEN = ("mu", "friction", "boundary", "top_mm", "mu_pa", "thickness_mm")
 
 
 @dataclass(frozen=True)

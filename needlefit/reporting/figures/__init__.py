@@ -61,7 +61,7 @@ HEIGHT_COLUMNS = ["y_mm", "low_mm", "high_mm"]
 BAND_WHITE = {"95 %": 0.8, "50 %": 0.56}
 TIP_ERROR = "tip error"  # value in place of a curve's name: the row is a tip error of a method
 PROFILE_KEYS = ["fold", "parameter"]
-VERDICT_COLUMNS = [  # of the identification
+VERDICT_COLUMNS = [
     *("fisher_sd", "low", "high", "end_low", "end_high", "rise"),
     *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
-]
+]  # columns of the identification

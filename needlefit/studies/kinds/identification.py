@@ -66,7 +66,7 @@ class IdentificationRecord(TargetRecord):
     kind: Literal["identification"]
 
 
-#: what `needlefit tune --design` runs, or a study file
+#: kind of study that `needlefit tune --design` runs, or a study file
 KIND = StudyKind("identification", IdentificationRecord, __name__, IdentificationMetadata)
 
 CANDIDATE_COLUMNS = (

@@ -15,7 +15,7 @@ from needlefit.datasets.importing.meanings import CURVATURE_AXES, SENSOR_PLACES
 from needlefit.errors import DataError
 from needlefit.grouping import group_values
 
-# In the header of a curvature toward z, or in the plane xz.
+# pattern in the header of a curvature toward z, or in the plane xz
 _SIDEWAYS = re.compile(r"(?<![a-z])x?z(?![a-z])", re.IGNORECASE)
 
 

@@ -54,7 +54,8 @@ MIN_SHAFT_POINTS = 3  # smallest number of points before the entry from which a 
 MIN_CUT_MM = 1.0  # shortest length (mm) before the stated entry that is cut off
 MAX_HIDDEN_PART = 0.71  # largest sine of the angle from a bevel to the only plane that was measured
 STEP_MM = 0.01  # distance (mm) between the places along a needle at which the entry is looked for
-OTHER_END = {"first": "last", "last": "first"}  # of the answers at which end of its points a needle enters
+# other answer to the question at which end of its points a needle enters
+OTHER_END = {"first": "last", "last": "first"}
 
 
 class ShapePlacer(Placer):

@@ -25,7 +25,7 @@ from needlefit.studies.observations import PREDICTIVE_COLUMNS
 from needlefit.studies.observations.tip_track import END_COLUMNS, READING_COLUMNS
 from needlefit.studies.score import ERROR_COLUMNS, SCORE_KEYS
 
-#: the columns that each table has at least
+# columns that each table has at least
 FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "errors": ERROR_COLUMNS,

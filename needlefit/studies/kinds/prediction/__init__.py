@@ -32,5 +32,5 @@ class PredictionRecord(TargetRecord):
     new one, with the spread between specimens unless `specimens` of the target leaves that out."""
 
 
-#: what `needlefit predict` runs, or a study file
+#: kind of study that `needlefit predict` runs, or a study file
 KIND = StudyKind("prediction", PredictionRecord, __name__, PredictionMetadata)

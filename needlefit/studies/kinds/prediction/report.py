@@ -23,7 +23,7 @@ from needlefit.studies.run import Run
 
 #: depths whose intervals are printed, as fractions of the length to the tip
 PRINTED_DEPTHS = (0.25, 0.5, 0.75, 1.0)
-BAND_COLOURS = {"95": "#BFDBEC", "50": "#7FB8D8"}  #: by level, the widest first
+BAND_COLOURS = {"95": "#BFDBEC", "50": "#7FB8D8"}  #: colours of bands by level, the widest first
 
 TEXT = KindText("prediction")
 

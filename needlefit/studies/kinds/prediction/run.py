@@ -61,7 +61,7 @@ from needlefit.studies.run import Run, posterior_file_names, restore_run
 FORECAST_POINTS = 101  #: number of points of a predicted needle, from entry to tip
 NEAR_DRAWS = 20  #: number of draws of which the one nearest to the median is chosen
 
-#: in the names of columns: along y, and z
+#: parts of the names of columns: along y, and z
 AXES = ("", "z_")
 
 
@@ -188,7 +188,7 @@ def describe_like_deepest(
     return deepest.id, describe_scene(dataset, deepest, medium.advance), dataset.path
 
 
-#: keys of a scene whose values the draws replace
+#: pattern of keys of a scene whose values the draws replace
 _REPLACED = re.compile(
     r"(layers\.\d+\.(mu_pa|alpha|shape(\.\w+)?)|(bevel|steps\.\d+)\.(offset_mm|cut_angle_deg))$"
 )

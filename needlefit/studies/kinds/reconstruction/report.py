@@ -50,7 +50,7 @@ _COLUMNS = (
     *("scan", "medium", "depth_mm", "deflection_mm", "markers", "fre_mm", "target_error_tip_mm"),
     *("crossing_depths", "remark_count"),
 )
-# Of the page of a scan.
+# columns of the page of a scan
 _FACT_COLUMNS = (
     *("depth_mm", "depth_sd_mm", "deflection_mm", "out_of_plane_max_mm", "bending_plane_from"),
     *("tip_along_sd_mm", "tip_across_sd_mm", "crossing_depths", "entry_pose_from", "entry_along_sd_mm"),
@@ -58,7 +58,7 @@ _FACT_COLUMNS = (
     *("fre_mm", "expected_fre_mm", "target_error_entry_mm", "target_error_tip_mm"),
 )
 TEXT = KindText("reconstruction")
-# Of a scan that is registered.
+# columns of a scan that is registered
 _REGISTERED_COLUMNS = (
     *("markers_from", "markers_found", "markers_known", "markers_paired", "fre_mm", "expected_fre_mm"),
     *("fre_p_value", "target_error_entry_mm", "target_error_tip_mm"),
