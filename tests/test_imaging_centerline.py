@@ -10,9 +10,11 @@ import pytest
 from numpy.testing import assert_allclose
 from refusals import refusal
 from scanner.render import Needle3D, SceneMarkers
+from scanner.write import write_volume
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from needlefit.errors import DataError
+from needlefit.imaging.batch import reconstruct_needles
 from needlefit.imaging.needle import centerline, follow
 from needlefit.imaging.needle.centerline import refuse_fold
 from needlefit.imaging.needle.segmentation import select_needle
@@ -141,6 +143,21 @@ def test_what_is_no_needle_is_refused():
     refusal(DataError, r"volume.* tip", lambda: found(cases.scan(cases.axis(tip=(0.0, 0.0, 60.0)))))
     recipe = cases.recipe(centerline={"entry_direction": [0, 0, -1]})
     refusal(DataError, r"volume.* tip", lambda: found(cases.scan(cases.axis()), recipe))
+
+
+def beside_face(away):
+    """A needle along a face of the volume, `away` mm from it."""
+    origin = np.array([cases.ENTRY[0] - away, 0.0, 0.0])
+    return cases.scan(cases.axis(), grid=cases.grid(origin=origin))
+
+
+def test_a_needle_beside_a_face_ends_where_it_does_and_one_that_the_face_cuts_is_drawn(tmp_path):
+    assert np.linalg.norm(found(beside_face(2.6)).tip - cases.axis()[-1]) < 0.12
+    write_volume(beside_face(0.7), tmp_path / "cut.nrrd")
+    (refused,) = reconstruct_needles(Scan("cut", tmp_path / "cut.nrrd", "box"), cases.RECIPE)
+    assert refused.error.where == "what a threshold shows of the needle" and refused.picture is not None
+    drawn = refused.points.points
+    assert cases.off(drawn, cases.axis()).max() < 1.0 and np.ptp(drawn[:, 2]) > 30.0
 
 
 @pytest.mark.parametrize("moved", [None, Corrections(entry=cases.ENTRY)])

@@ -18,7 +18,7 @@ from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import interpolate_at_arc
 from needlefit.imaging.constants import PART
 from needlefit.imaging.corrections import make_control_points
-from needlefit.imaging.needle.follow import follow_tube
+from needlefit.imaging.needle.follow import list_middles
 from needlefit.imaging.needle.segmentation import list_needles
 from needlefit.imaging.reconstruct import STAGES, VolumeSearch, examine, picture_curve
 from needlefit.imaging.reconstruction import CurvePicture, Reconstruction, render_views
@@ -168,9 +168,9 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan, report: Callable[[str]
     failed = found.error or NeedlefitError("nothing was found", where=scan.volume)
     failed = explain_refusal(failed, search.volume)
     needle = None if found.needle_axis is None else found.needle_axis.points
-    if needle is None and found.selection is not None:  # about where it is
-        axis = found.selection.axis or follow_tube(search.volume, found.selection.needle, search.recipe)
-        needle = axis.spline(np.arange(0.0, axis.length, 1.0))
+    if needle is None and (tube := found.selection) is not None:  # about where it is
+        axis = tube.axis
+        needle = list_middles(tube.needle) if axis is None else axis.spline(np.arange(0.0, axis.length, 1.0))
     balls = np.empty((0, 3)) if found.markers is None else found.markers.centers
     entries, entry, listed = np.empty((0, 3)), found.entry, None
     if needle is not None and entry is not None:

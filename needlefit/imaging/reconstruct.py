@@ -39,7 +39,7 @@ from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers,
 from needlefit.imaging.markers import find_markers, is_list_of_points, read_markers, refine_fiducials
 from needlefit.imaging.materials import find_rises, list_materials, sample_profile
 from needlefit.imaging.needle.centerline import Centerline, project_point, refuse_fold, trace_needle
-from needlefit.imaging.needle.follow import follow_points, read_mask_points, select_axis_voxels
+from needlefit.imaging.needle.follow import follow_points, follow_tube, read_mask_points, select_axis_voxels
 from needlefit.imaging.needle.segmentation import (
     Component,
     NeedleSelection,
@@ -555,7 +555,8 @@ def examine(
     with found.step("axis and tip"):
         if selection is not None:
             spread = None if found.markers is None else found.markers.spread
-            rough = selection.axis or selection.needle
+            rough = selection.axis or follow_tube(volume, selection.needle, recipe)
+            found.selection = replace(selection, axis=rough)
             found.needle_axis = trace_needle(volume, rough, recipe, spread, moved.tip)
             refuse_fold(found.needle_axis.points)
     with found.step():

@@ -77,6 +77,7 @@ def trace_needle(
     if tip is None:
         axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
         at = find_end(volume, axis, recipe.needle.diameter_mm)
+        refuse_cut_tip(volume, axis, at)
     else:
         base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
         axis = axis if last <= base else _reverse_axis(axis)
@@ -212,6 +213,20 @@ def find_end(volume: Volume, axis: AxisSpline, diameter: float) -> float:
     return float(bright[dark[0]] if len(dark) else bright[-1])
 
 
+def refuse_cut_tip(volume: Volume, axis: AxisSpline, at: float) -> None:
+    """Raise DataError if a needle that shows up to `at`, mm along its axis, may end outside the volume."""
+    base, last = axis.spline(np.array([0.0, min(at, axis.length)]))
+    reach = np.array([[0.0], [MM.EDGE_BLUR]]) + max(at - axis.length, 0.0)
+    away, beyond = measure_face_distance(volume, last + reach * to_unit(last - base))
+    if away < MM.BLUR_CORE or beyond < 0:
+        raise DataError(
+            f"the needle shows up to {max(away, 0):.1f} mm before the volume's face: its tip may be outside",
+            expected="the tip and some tissue beyond it in the scan",
+            fix="scan with the tip in view; or, if the other end is the tip, set centerline.entry_direction",
+            where=f"L, P, S = {', '.join(f'{x:.0f}' for x in last)} mm",
+        )
+
+
 def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
     """Return the axis directed from base to tip; DataError if the direction cannot be determined."""
     ends = axis.spline(np.array([0.0, axis.length]))
@@ -225,7 +240,7 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
         forward = bool((ends[1] - ends[0]) @ np.asarray(direction) > 0)
     elif cut[0] != cut[1]:
         forward = forward if clear else bool(cut[0])
-    elif not clear and not all(cut):
+    elif not clear:
         points = axis.spline(np.arange(0.0, axis.length, 1.0))
         held = [
             find_hub(volume, one, recipe.needle.diameter_mm) is not None for one in (points, points[::-1])
@@ -243,15 +258,6 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
                 where=f"ends at L, P, S = {where} mm",
             )
         forward = held[0]
-    if cut[1 if forward else 0]:
-        raise DataError(
-            "the needle leaves the volume with its tip",
-            expected="the tip and some tissue beyond it in the scan",
-            fix=(
-                "scan with the tip in view; or, if the other end is the tip, set centerline.entry_direction"
-            ),
-            where=f"ends at L, P, S = {where} mm",
-        )
     return axis if forward else _reverse_axis(axis)
 
 

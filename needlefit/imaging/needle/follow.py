@@ -61,13 +61,22 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
             where="points on the needle",
         )
     center, axes = principal_axes(points)
-    return _follow(volume, points[np.argsort((points - center) @ axes[0])], recipe)
+    with located("what lies between points on the needle"):
+        return _follow(volume, points[np.argsort((points - center) @ axes[0])], recipe)
 
 
 def follow_tube(volume: Volume, tube: Component, recipe: ReconstructionRecord) -> AxisSpline:
-    """Return the rough axis of the needle of which `tube` is the part that a threshold shows."""
-    bright = tube.values - tube.values.min() + 1.0
-    return _follow(volume, _average_pieces(tube.points, bright), recipe)
+    """Return the rough axis of the needle of which `tube` is the part that a threshold shows.
+
+    DataError if too little of its surroundings lies in the volume.
+    """
+    with located("what a threshold shows of the needle"):
+        return _follow(volume, list_middles(tube), recipe)
+
+
+def list_middles(tube: Component) -> Floats:
+    """Return points (N, 3), LPS, mm, in the middle of what a threshold shows."""
+    return _average_pieces(tube.points, tube.values - tube.values.min() + 1.0)
 
 
 def _average_pieces(points: Floats, weights: Floats) -> Floats:
@@ -91,11 +100,10 @@ def _follow(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> Axi
     level = float(np.median(amplitude))
     if level < HU.METAL_CONTRAST / 2 or shown.mean() < PART.SHOWN:
         raise DataError(
-            f"between points on it the scan shows no needle: what lies there is {level:.0f} HU brighter than "
-            f"its surroundings, and faint on {100 * (1 - shown.mean()):.0f} %",
-            expected="points on one needle, LPS, mm",
-            fix="take back those that are not on it; RAS has x and y of the other sign",
-            where="points on the needle",
+            f"is {level:.0f} HU brighter than what surrounds it in the volume, and faint on "
+            f"{100 * (1 - shown.mean()):.0f} %",
+            expected="a needle, and what surrounds it",
+            fix="scan more around it; take back points that are not on it: RAS has x and y of the other sign",
         )
     places = places[shown]
     before = [*_extend(volume, places[::-1], level, recipe)]
