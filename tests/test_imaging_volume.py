@@ -292,6 +292,24 @@ def test_the_level_of_air_is_that_of_hounsfield_units(air, soft, padding, is_dou
     assert "16 x 20 x 7.2 mm" in refusal.what and f"{values.min():.5g} to {values.max():.5g}" in refusal.what
 
 
+@pytest.mark.parametrize("offset", [0.0, 1000.0])
+@pytest.mark.parametrize("padding", [None, -2000.0])
+def test_a_volume_in_which_nothing_is_as_dark_as_air_has_a_doubt_about_its_unit(offset, padding):
+    values = np.random.default_rng(4).normal(20.0, 30.0, (8, 40, 40))
+    values[:, :38] -= 1020.0
+    values += offset
+    if padding is not None:
+        values[:, :4] = padding
+    assert bool([*doubt_air(volume_of(values))]) == (offset > 0)
+
+
+@pytest.mark.parametrize("level", [-1000.0, 20.0])
+def test_a_refusal_states_of_what_its_median_is(level):
+    volume = volume_of(np.random.default_rng(5).normal(level, 30.0, (8, 40, 40)))
+    median = explain_refusal(DataError("no needle"), volume).what.rpartition("median")[2]
+    assert float(median.split()[-1]) == approx(level, abs=5.0) and ("foam" in median) == (level > -600.0)
+
+
 @pytest.mark.parametrize(
     ("name", "arguments", "words"),
     [

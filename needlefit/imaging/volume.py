@@ -316,9 +316,10 @@ def explain_refusal(error: NeedlefitError, volume: Volume) -> NeedlefitError:
         for lengths in (volume.grid.size * volume.spacing, volume.spacing)
     )
     low, high = float(volume.values.min()), float(volume.values.max())
+    median_of = "what is denser than foam" if volume.tissue > HU.LIGHT else "all voxels"
     return error.replace(
         what=f"{''.join(doubts)}{error.what}; the scan is {size} mm large, its voxels {steps} mm; its "
-        f"values are {low:.5g} to {high:.5g}, the median of what is denser than foam {volume.tissue:.0f}"
+        f"values are {low:.5g} to {high:.5g}, the median of {median_of} {volume.tissue:.0f}"
     )
 
 
@@ -326,11 +327,12 @@ def doubt_air(volume: Volume) -> Iterator[str]:
     """Yield a warning if air has another value than in HU, as grey values of cone beams have.
 
     Air is what is darker than soft material, but for the lowest value of all: that fills what lies outside
-    the scanner's field, or is where values were cut.
+    the scanner's field, or is where values were cut. Where nothing else is so dark, it stands for air.
     """
     some = volume.values[::3, ::3, ::3]
     dark = some[(some > float(some.min())) & (some < HU.GAP)]
     level = float(np.median(dark)) if dark.size > PART.AIR * some.size else HU.AIR
+    level = level if dark.size else float(some.min())
     if not HU.AIR_RANGE[0] <= level <= HU.AIR_RANGE[1]:
         yield (
             f"the values may be no Hounsfield units: the darkest material, unless it is lung or foam, has "
