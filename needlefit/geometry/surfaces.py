@@ -28,7 +28,7 @@ MAX_MESH_BYTES = 256 * 2**20  # largest size of a file of a mesh (bytes)
 BLOCK_PAIRS = 200_000
 EDGE_TOLERANCE = 1e-9  # sine of the angle below which a ray and both ends of an edge lie in one plane
 MERGED_MM = 1e-8  # spacing (mm) of the grid to which vertices are rounded before equal ones are merged
-MAX_MERGED_MM = 1e9  # largest plausible coordinate of a boundary (mm)
+MAX_COORDINATE_MM = 1e9  # largest plausible coordinate of a boundary (mm)
 _ELEMENT = re.compile(rb"element\s+(\w+)\s+(\d{1,19})")
 _EDGE_ELEMENT = re.compile(rb"^(element[ \t]+)edge([ \t])", re.MULTILINE)
 _OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
@@ -162,7 +162,7 @@ def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
         if b"ascii" in head and claimed > there:
             raise _mesh_error(path, f"claims {claimed} vertices, triangles and edges, and holds {there} rows")
     vertices, faces = _read_stl(data, path) if ending == ".stl" else _read_mesh(data, path)
-    if (np.abs(vertices) < MAX_MERGED_MM).all():  # not so where one is not finite
+    if (np.abs(vertices) < MAX_COORDINATE_MM).all():  # not so where one is not finite
         vertices, faces = _merge_vertices(vertices[faces].reshape(-1, 3))
     return Surface(path.stem, vertices, faces, kind, into)
 

@@ -227,7 +227,8 @@ def _interpolate(places: Floats, along: Floats, heights: Floats) -> Floats:
 # ---- the ranges within the tolerance
 
 MAX_ROUNDS = 5  #: largest number of rounds of searches: each begins at the ends of the one before
-APART = 0.5  #: difference of a logarithm or an alpha below which only one of two points begins searches
+#: smallest difference, of a logarithm or an alpha, between points that both begin searches
+MIN_START_DISTANCE = 0.5
 MAX_STEPS = 24  #: largest number of evaluations of f, with derivatives, of one end from one start
 SLACK = 0.02  #: largest excess of f over the limit at an end, as a fraction of the tolerance
 #: largest excess of f over the limit on the way, as a fraction of the tolerance: later steps lead back. No
@@ -317,8 +318,8 @@ def find_error_ranges(
 
 
 def _is_apart(theta: Floats, others: Sequence[Floats]) -> bool:
-    """Return whether theta (P,) lies farther from each of the others than `APART` along some parameter."""
-    return all(np.max(np.abs(theta - other)) > APART for other in others)
+    """Return whether theta (P,) differs from each of the others by `MIN_START_DISTANCE` in some parameter."""
+    return all(np.max(np.abs(theta - other)) > MIN_START_DISTANCE for other in others)
 
 
 def _list_inside(problem: Problem, draws: Floats, limit: float, jobs: int) -> Floats:

@@ -38,7 +38,7 @@ from needlefit.mechanics.shape import compute_scales
 from needlefit.mechanics.tissue import Tissue
 
 #: smallest |e| / t at which a table may end: the kernel's series may go so far
-LEAST_COMPRESSION = MAX_SERIES_COMPRESSION
+MIN_TABLE_COMPRESSION = MAX_SERIES_COMPRESSION
 TABLE_TOLERANCE = SERIES_TOLERANCE / 10  #: largest relative error of k in a table
 
 _PIECE = TABLE_COMPRESSION / TABLE_PIECES  #: length of a piece of a table, in |e| / t
@@ -67,7 +67,7 @@ def compile_law(name: str, shape: Floats) -> tuple[Floats, Floats]:
         return law.power_terms(by_layer)
     different, places = _list_different(by_layer)
     tables = _make_tables(name, different.tobytes(), *different.shape)
-    short = tables[places, 0] < LEAST_COMPRESSION - _END  # (..., n)
+    short = tables[places, 0] < MIN_TABLE_COMPRESSION - _END  # (..., n)
     if short.any():
         place = tuple(np.argwhere(short)[0])
         stated = [
@@ -76,7 +76,7 @@ def compile_law(name: str, shape: Floats) -> tuple[Floats, Floats]:
         ]
         raise ModelError(
             f"layer {place[-1] + 1}: the tissue law `{name}` cannot be interpolated at {', '.join(stated)}",
-            expected=f"k > 0, smooth and not too steep up to |e| / t = {LEAST_COMPRESSION:g}",
+            expected=f"k > 0, smooth and not too steep up to |e| / t = {MIN_TABLE_COMPRESSION:g}",
             fix="choose other values, or narrower bounds for them",
         )
     return tables[places], np.empty((*places.shape, 0))

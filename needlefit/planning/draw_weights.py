@@ -1,8 +1,8 @@
 """Draws of the parameters of one insertion, weighted by what is measured of it (importance sampling).
 
-Where the effective number of draws falls below `FEWEST_DRAWS`, new ones are drawn from a Gaussian about the
-weighted ones, and weighted by prior times likelihood over that Gaussian (population Monte Carlo: O. Cappe et
-al., J. Comput. Graph. Stat. 13 (2004) 907). The prior then is the Gaussian of the first draws.
+Where the effective number of draws falls below `MIN_EFFECTIVE_DRAWS`, new ones are drawn from a Gaussian
+about the weighted ones, and weighted by prior times likelihood over that Gaussian (population Monte Carlo: O.
+Cappe et al., J. Comput. Graph. Stat. 13 (2004) 907). The prior then is the Gaussian of the first draws.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from needlefit.arrays import Floats, Ints
 from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
 
-FEWEST_DRAWS = 200.0  #: smallest effective number of draws, of 500; of fewer draws the same part
+MIN_EFFECTIVE_DRAWS = 200.0  #: smallest effective number of draws, of 500; of fewer draws the same part
 MAX_ROUNDS = 6  #: largest number of rounds of new draws after one measurement
 INFLATION = 1.3  #: factor on the covariance from which new draws come: their weights then stay bounded
 KEPT_VARIANCE = 1e-9  #: variance, as a fraction of the largest one, below which a direction is exact
@@ -113,7 +113,7 @@ class SteeredDraws:
         learned, rounds = replace(self, log_weights=self.log_weights + now), 0
         if not np.isfinite(learned.log_weights.max()):
             raise ModelError("no draw of the parameters has a needle there", expected="one that is solved")
-        fewest = FEWEST_DRAWS * min(1.0, len(self.at) / 500.0)
+        fewest = MIN_EFFECTIVE_DRAWS * min(1.0, len(self.at) / 500.0)
         while learned.effective < fewest and rounds < MAX_ROUNDS and len(self.axes):
             learned, rounds = learned._draw_anew(fewest, weigh, rng), rounds + 1
         return learned, rounds

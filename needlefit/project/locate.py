@@ -213,7 +213,7 @@ def _name(kind: FileKind, path: Path) -> str:
     return path.parent.name if kind in ("dataset", "scans") else path.stem
 
 
-LIKE = 0.7  # smallest likeness, 0 to 1, of a name that is proposed
+MIN_LIKENESS = 0.7  # smallest likeness, 0 to 1, of a name that is proposed
 
 
 def unknown_name_error(kind: str, name: str, names: list[str], otherwise: str = ", or a path") -> ConfigError:
@@ -226,7 +226,7 @@ def unknown_name_error(kind: str, name: str, names: list[str], otherwise: str = 
     candidates = [*(_list_beside(name) if otherwise else ()), *nearest[:1]]
     best = max(candidates, key=lambda path: _compare_stems(name, path), default="")
     problem = f"there is no {kind} {'at' if is_path(name) else 'called'} `{name}`"
-    if best and _compare_stems(name, best) >= LIKE:
+    if best and _compare_stems(name, best) >= MIN_LIKENESS:
         problem += f"; did you mean `{best}`?"
     listed = join_names(nearest, MAX_NEAR_NAMES) or "(none found)"
     fix = (

@@ -47,7 +47,7 @@ BOUNDARIES_TO_DEPTH = 0.1
 MIN_DEPTH_MM = 1.0  # smallest depth (mm) of an insertion: a smaller number is likely one in metres
 LENGTH_UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0, "micrometres": 1e-3}
 """Millimetres in each unit of length."""
-MICROMETRES = 1e3  # number of micrometres in a millimetre
+MICROMETRES_PER_MM = 1e3  # number of micrometres in a millimetre
 
 MODULUS_UNITS = {"Pa": 1e-9, "MPa": 1e-3, "kPa": 1e-6, "psi": 6.894757e-6}
 """Gigapascals in each unit of a modulus."""
@@ -269,7 +269,7 @@ def doubt_layers(boundaries: Sequence[float], deepest: float, key: str) -> Itera
     if len(boundaries) > 1:  # of which centimetres are the likely unit
         least, units = BOUNDARIES_TO_DEPTH * deepest, {"centimetres": 10.0} | LENGTH_UNITS
     last = boundaries[-1]
-    if deepest < last < MICROMETRES * BOUNDARIES_TO_DEPTH * deepest:
+    if deepest < last < MICROMETRES_PER_MM * BOUNDARIES_TO_DEPTH * deepest:
         units = {}  # a layer that ends so near the entry is no better guess than a slip of a digit
     doubts = list(doubt_range(last, (least, deepest), units, key, "mm"))
     unmet = f"; no needle reaches layer {len(boundaries) + 1}" if last > deepest else ""

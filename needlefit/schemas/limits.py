@@ -14,7 +14,7 @@ MAX_ELEMENTS = 5000
 #: largest number of elements solved for in all equilibria of an insertion; one to `MAX_ELEMENTS` without a
 #: halt has as many
 MAX_ELEMENT_SOLVES = 12_500_000
-#: the same number for all insertions that one evaluation of a fit simulates
+#: largest number of these for all insertions that one evaluation of a fit simulates
 MAX_EVALUATION_ELEMENT_SOLVES = 50_000_000
 MAX_STEPS = 10_000  #: largest number of steps of a scene, and of rays that an interactive needle may have cut
 MAX_LAYERS = 200  #: largest number of layers of a tissue or medium

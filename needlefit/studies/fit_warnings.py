@@ -131,7 +131,7 @@ def _find_medians(run: Run) -> Iterator[Row]:
 
 #: largest factor between in-sample errors and their noise floor, either way, without a warning
 FAR_FROM_FLOOR = 2.0
-CHANCE = 1e-3  #: largest probability that errors are so far from the floor by chance, with a warning
+MAX_CHANCE = 1e-3  #: largest probability that errors are so far from the floor by chance, with a warning
 
 
 def _find_wrong_noise(run: Run, too_large: bool) -> Iterator[Row]:
@@ -148,7 +148,7 @@ def _find_wrong_noise(run: Run, too_large: bool) -> Iterator[Row]:
     for medium, some in means.groupby("medium"):
         count, total, rms = len(some), 2 / np.pi * float(some.sum()), float(np.sqrt(some.mean()))
         far = rms < 1 / FAR_FROM_FLOOR if too_large else rms > FAR_FROM_FLOOR
-        if far and (scipy.special.chdtr if too_large else scipy.special.chdtrc)(count, total) < CHANCE:
+        if far and (scipy.special.chdtr if too_large else scipy.special.chdtrc)(count, total) < MAX_CHANCE:
             yield {"medium": str(medium), "count": count, "rms": rms}
 
 
@@ -170,7 +170,7 @@ def _find_shared_residual(run: Run) -> Iterator[Row]:
         shared, total = np.mean(curves.mean(axis=1) ** 2), np.mean(curves**2)
         count, rms = curves.shape[1], math.sqrt(shared)
         t = math.sqrt((count - 1) * shared / max(total - shared, 1e-12))
-        if rms > errors["floor_ipe_mean_mm"].mean() and 2 * scipy.special.stdtr(count - 1, -t) < CHANCE:
+        if rms > errors["floor_ipe_mean_mm"].mean() and 2 * scipy.special.stdtr(count - 1, -t) < MAX_CHANCE:
             yield {"count": count, "rms": rms, "part": shared / total, "toward": toward}
             return
 

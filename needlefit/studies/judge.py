@@ -381,7 +381,7 @@ def check_needles(run: Run, judged: Judgement) -> Iterator[Finding]:
 
 
 #: smallest number of trials of which the 95 % confidence interval of a share, all or none, excludes one half
-FEWEST_TRIALS = 4
+MIN_COVERAGE_TRIALS = 4
 
 
 def check_intervals(
@@ -403,7 +403,7 @@ def check_intervals(
         """Return how many insertions lie in what holds them with a probability of `level`."""
         share = count_covered(predictive, f"{covered_by}_in_{100 * level:.0f}")
         covered: bool | None = share.low <= level <= share.high
-        if which is Check.COVERAGE_50 and share.groups < FEWEST_TRIALS:
+        if which is Check.COVERAGE_50 and share.groups < MIN_COVERAGE_TRIALS:
             covered = None
         elif share.groups == 1:
             covered = False if share.hits == 0 else None

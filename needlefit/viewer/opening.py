@@ -84,7 +84,7 @@ def read_scene_draws(path: Path, record: SceneRecord) -> "ParameterDraws | None"
 
 
 #: largest difference (mm, degrees, or a fraction of the value) of two numbers of scenes that are the same
-SAME = 1e-6
+NUMBER_TOLERANCE = 1e-6
 
 
 def _is_same(first: object, other: object) -> bool:
@@ -95,7 +95,7 @@ def _is_same(first: object, other: object) -> bool:
     if isinstance(first, list | tuple) and isinstance(other, list | tuple):
         return len(first) == len(other) and all(map(_is_same, first, other))
     if isinstance(first, float | int) and isinstance(other, float | int):
-        return math.isclose(first, other, rel_tol=SAME, abs_tol=SAME)
+        return math.isclose(first, other, rel_tol=NUMBER_TOLERANCE, abs_tol=NUMBER_TOLERANCE)
     return bool(first == other)
 
 

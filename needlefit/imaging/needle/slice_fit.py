@@ -64,10 +64,10 @@ START_ENDS_MM = (-0.5, 0.0, 0.5)  # distances (mm) of the ends that are tried fr
 ROBUST_SD = (20.0, 4.0)  # numbers of deviations beyond which residuals count less, in the first fit and later
 STEP = 0.05  # step of the difference quotients
 STEPS = 8  # largest number of steps of a fit
-ROUGH = 2.0  # factor on the rod's pieces and on the angles of views while its path is searched
+ROUGH_FACTOR = 2.0  # factor on the rod's pieces and on the angles of views while its path is searched
 # first estimates of the model's error: in water, and as a fraction of the image
 FIRST_ERRORS = (0.15, 0.25)
-CORRELATED = 10.0  # number of samples that count as one
+CORRELATED_SAMPLES = 10.0  # number of samples that count as one
 # SD of the axis (slices) that no residual shows where the needle does not cross a slice, as its mirror image
 # looks the same; at its end twice as much. Set on volumes of `benchmarks/real_scanners.py --seeds 2000:2013`.
 MIRROR_SD = 0.2
@@ -104,7 +104,7 @@ def place_in_slices(
         problem = _SliceProblem(volume, needle, frame, origin, (x, y, z), spread, hub)
         if np.count_nonzero(problem.seen.any(axis=0)) < 2 * len(problem.start):
             return None
-        start = problem.place_rod(ROUGH).search()
+        start = problem.place_rod(ROUGH_FACTOR).search()
         fine = problem.place_rod(1.0)
         theta, covariance, error = fine.solve(start)
         across, along, (end, roll), scan = problem.split(theta)
@@ -272,7 +272,7 @@ class _SliceProblem:
     def residuals(self, theta: Floats, scale: Floats) -> Floats:
         """Return what slices show and what is known, both in their deviations; neighbours count as one."""
         left = (self.image(self.project(theta), theta) - self.shown) / scale
-        return np.append(left[self.seen].ravel() / np.sqrt(CORRELATED), self.known(theta))
+        return np.append(left[self.seen].ravel() / np.sqrt(CORRELATED_SAMPLES), self.known(theta))
 
     def slopes(self, theta: Floats, scale: Floats) -> Floats:
         """Return the derivatives of the residuals."""
@@ -284,7 +284,7 @@ class _SliceProblem:
         for n, step in enumerate(np.eye(len(theta))[count:] * STEP):
             moved = self.project(theta + step) if n < count + 2 else metal
             slopes.append((self.image(moved, theta + step) - here) / STEP)
-        scale = np.broadcast_to(scale, here.shape)[self.seen] * np.sqrt(CORRELATED)
+        scale = np.broadcast_to(scale, here.shape)[self.seen] * np.sqrt(CORRELATED_SAMPLES)
         known = [self.known(unit) - self.known(0 * unit) for unit in np.eye(len(theta))]
         pairs = zip(slopes, known, strict=True)
         return np.stack([np.append((slope[self.seen] / scale).ravel(), row) for slope, row in pairs], axis=1)
@@ -324,7 +324,7 @@ class _SliceProblem:
             jac=slopes,
             args=(scale,),
             loss=self.loss,  # type: ignore[arg-type]  # the stubs describe another function
-            f_scale=robust / np.sqrt(CORRELATED),
+            f_scale=robust / np.sqrt(CORRELATED_SAMPLES),
             x_scale="jac",
             ftol=PART.TOLERANCE,
             xtol=PART.TOLERANCE,
@@ -350,7 +350,7 @@ class _SliceProblem:
         left = np.where(self.seen[..., None], image - self.shown, 0.0) / self.scale(image)
         left /= np.sqrt(1 + (left / ROBUST_SD[1]) ** 2)
         factor = correlation_factor(np.moveaxis(left, 1, 0).reshape(left.shape[1], -1), len(best))
-        covariance = np.linalg.inv(fit.jac.T @ fit.jac) * factor / CORRELATED
+        covariance = np.linalg.inv(fit.jac.T @ fit.jac) * factor / CORRELATED_SAMPLES
         return np.asarray(fit.x, float), np.asarray(covariance, float), self.error(image)
 
     def move(self, best: Floats, modes: list[Floats]) -> Floats:
@@ -371,7 +371,7 @@ class _SliceProblem:
 
     def first_misfit(self, theta: Floats) -> float:
         """Return what is minimized before the model's error is known."""
-        robust = ROBUST_SD[1] / np.sqrt(CORRELATED)
+        robust = ROBUST_SD[1] / np.sqrt(CORRELATED_SAMPLES)
         left = self.residuals(theta, self.first_scale) / robust
         return float(robust**2 * np.sum(self.loss(left**2)[0]))
 
