@@ -201,6 +201,34 @@ def test_a_header_with_detached_voxels_and_non_finite_values(tmp_path):
     assert "1 of 24 voxels" in fault.what and "= 1, 0, 0" in fault.what and "air" in fault.fix
 
 
+def test_a_nifti_file_whose_two_forms_differ_is_refused(tmp_path):
+    image = nibabel.Nifti1Image(VALUES.T, PLAIN)
+    for away, is_right in ((0.3, True), (40.0, False)):
+        other = PLAIN.copy()
+        other[2, 3] += away
+        image.set_qform(other, 1)
+        image.set_sform(PLAIN, 1)
+        nibabel.save(image, tmp_path / "a.nii")
+        if is_right:
+            assert read_volume(tmp_path / "a.nii").origin == approx([-1.0, -2.0, 3.0], abs=1e-6)
+        else:
+            assert "40 mm" in refused(tmp_path / "a.nii").what
+
+
+def test_what_a_header_leaves_out_is_not_made_up(tmp_path):
+    path, data = metaimage(tmp_path / "a.mhd", ElementDataFile="a.raw"), VALUES.tobytes()
+    (tmp_path / "a.raw").write_bytes(data)
+    check_plain(read_volume(path))
+    (tmp_path / "a.raw").write_bytes(bytes(100) + data)
+    for one in (path, nrrd(tmp_path / "a.nhdr", data=b"", data_file="a.raw")):
+        assert "148" in refused(one).what
+    path.write_bytes(path.read_bytes().replace(b"ElementDataFile", b"HeaderSize = -1\nElementDataFile"))
+    check_plain(read_volume(path))
+    check_plain(read_volume(nrrd(tmp_path / "b.nhdr", data=b"", byte_skip=100, data_file="a.raw")))
+    path.write_bytes(path.read_bytes().replace(b"ElementSpacing", b"Spacing"))
+    assert "ElementSpacing" in refused(path).expected
+
+
 @pytest.mark.parametrize(("shift", "filled"), [(-5.0, -1000.0), (0.0, 0.0), (-2000.0, -2000.0)])
 def test_voxels_without_a_value_are_air_where_values_are_hounsfield_units(tmp_path, shift, filled):
     values = VALUES.astype(np.float32) + np.float32(shift)

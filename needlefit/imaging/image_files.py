@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 
 from needlefit.errors import DataError, located
 from needlefit.geometry.frames import RAS_TO_LPS
-from needlefit.imaging.volume import READABLE_VOLUMES, VoxelGrid, check_grid, fill_unknown, orthogonalize
+from needlefit.imaging.volume import (
+    READABLE_VOLUMES,
+    VoxelGrid,
+    check_grid,
+    fill_unknown,
+    is_tilted,
+    orthogonalize,
+)
+from needlefit.imaging.volume_files import MAX_HEADER_BYTES, list_series_files
 from needlefit.project.reader_process import Arrays, Planes, allow_memory
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
@@ -81,6 +89,16 @@ def _open_nifti(file: Path) -> Image:
     spacing = np.linalg.norm(affine[:, :3], axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):  # what this leaves `check_grid` refuses
         grid = VoxelGrid((columns, rows, slices), affine[:, 3], spacing, affine[:, :3] / spacing)
+    corners = np.diag([columns, rows, 0 if is_tilted(grid.direction) else slices, 1])  # no qform leans
+    corners[3] = 1
+    other = header.get_qform() if header["qform_code"] else image.affine  # which is that of the sform, if any
+    apart = np.linalg.norm(((image.affine - other) @ corners)[:3], axis=0).max()
+    if apart > spacing.min():
+        raise DataError(
+            f"its qform and its sform place a voxel {apart:.3g} mm apart",
+            expected="one place in the patient",
+            fix="convert the scan from its DICOM series again, or remove the wrong one (its code is then 0)",
+        )
 
     def read() -> NDArray[np.float32]:
         values = np.asarray(image.dataobj, dtype=np.float32)
@@ -109,6 +127,8 @@ def _open_itk(file: Path) -> Image:
             fix="export it from a program that knows the patient's axes, such as 3D Slicer",
         )
     columns, rows, slices = reader.GetSize()
+    voxel_bytes = int(kind[1]) // 8 if kind else 0
+    _check_header(file, columns * rows * slices * voxel_bytes)
     given = (reader.GetOrigin(), reader.GetSpacing(), reader.GetDirection())
     origin, spacing, direction = map(np.array, given)
     grid = VoxelGrid((columns, rows, slices), origin, spacing, direction.reshape(3, 3))
@@ -118,7 +138,33 @@ def _open_itk(file: Path) -> Image:
         return sitk.GetArrayFromImage(reader.Execute())
 
     segments = {key: text for key, text in texts.items() if key.startswith("Segment")}
-    return read, grid, int(kind[1]) // 8 if kind else 0, segments
+    return read, grid, voxel_bytes, segments
+
+
+def _check_header(file: Path, total_bytes: int) -> None:
+    """Refuse a header that leaves out what SimpleITK would make up: a spacing, and where voxels begin.
+
+    `total_bytes`: of all voxels, where they are not packed.
+    """
+    with file.open("rb") as content:
+        header = content.read(MAX_HEADER_BYTES)
+    is_meta = IMAGE_IOS[file.suffix.lower()] == "MetaImageIO"
+    if is_meta and not re.search(rb"(?m)^Element(Spacing|Size)\s*=", header):
+        raise DataError(
+            "does not state the distances of its voxels",
+            expected="`ElementSpacing = ` and three numbers, mm, in the header",
+            fix="export the scan again, or add them",
+        )
+    packed = rb"CompressedData\s*=\s*T|BinaryData\s*=\s*F|encoding:(?!\s*raw)"  # or text
+    if re.search(rb"(?im)^(HeaderSize|(byte|line) ?skip|" + packed + rb")", header):
+        return
+    for data in list_series_files(file)[1:]:
+        if (size := data.stat().st_size) > total_bytes:
+            raise DataError(
+                f"{data.name} has {size} bytes, its voxels {total_bytes}",
+                expected="a file of voxels alone",
+                fix="state what stands before them in the header (HeaderSize, byte skip), or export it again",
+            )
 
 
 def _check_voxels(shape: Sequence[int], are_numbers: bool) -> None:
