@@ -38,6 +38,7 @@ class Draft:
         self.headers = list[str]()  # of all tables
         self.columns_read = set[str]()  # meanings whose stated columns are there
         self.names = dict[Path, str]()  # what files are called
+        self.curves = set[str]()  # names of the needles that have points, in any table
         self.needles = dict[tuple[str, str], set[str]]()  # names by file and sheet
         for key, text in pairs:
             head, _, part = key.partition(".")

@@ -82,17 +82,11 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
             expected=f"at most {MAX_CURVES}",
             fix="name the folder of the needles",
         )
-    for path in files:
-        suffix = path.suffix.lower()
-        if suffix in READ_SUFFIXES or path.name in draft.planes or is_plane(path):
-            draft.surfaces.append(draft.names[path])
-        elif suffix in TEXT_SUFFIXES:
-            _draft_grid(*sniff_text(path, draft.table_keys), draft)
-        elif suffix in SHEET_SUFFIXES:
-            _draft_workbook(path, draft)
-        else:
-            draft_entries(table := read_structured(path), {"files": [path.name]}, draft)
-            _ask_markups(path, table, draft, files)
+    first = Draft(pairs)
+    first.names = draft.names
+    _draft_files(files, first)
+    draft.curves = first.curves
+    _draft_files(files, draft)
     for meaning, parts in draft.columns.items():
         if "column" in parts and draft.headers and meaning not in draft.columns_read:
             raise DataError(
@@ -130,6 +124,21 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
             text = f"{MEANINGS[key].text} ({problem or paths[0]})"
             draft.ask("column", str(paths[0]), answers, key=key, text=text)
     return draft, files
+
+
+def _draft_files(files: Sequence[Path], draft: Draft) -> None:
+    """Propose what each file holds."""
+    for path in files:
+        suffix = path.suffix.lower()
+        if suffix in READ_SUFFIXES or path.name in draft.planes or is_plane(path):
+            draft.surfaces.append(draft.names[path])
+        elif suffix in TEXT_SUFFIXES:
+            _draft_grid(*sniff_text(path, draft.table_keys), draft)
+        elif suffix in SHEET_SUFFIXES:
+            _draft_workbook(path, draft)
+        else:
+            draft_entries(table := read_structured(path), {"files": [path.name]}, draft)
+            _ask_markups(path, table, draft, files)
 
 
 def _ask_markups(path: Path, table: Table, draft: Draft, files: Sequence[Path]) -> None:
@@ -393,6 +402,8 @@ def _add_entry(columns: TableDraft, kind: RowKind, name: str, taken: Columns) ->
         if meaning == "bevel_side" and "bevel_side" not in draft.values:
             _ask_sides(columns, record, of_meaning)
     kind.complete(columns, records)
+    if has_points:
+        draft.curves.update(names or [name or columns.table.name])
     if has_points and names and "pattern" not in records.get("needle", {"pattern": ""}):
         statistics = sorted({name for name in names if find_meaning("statistic", name)})
         if statistics and EXCLUDED not in records:  # rows in place of a needle

@@ -202,6 +202,7 @@ class TableDraft:
     def _choose_names(self, proposed: Columns) -> list[Column]:
         """Return the columns that name needles: the first in which names come again, and what divides it.
 
+        Of facts it is the one with most names of the curves, if one has any.
         Ask whether points of one needle at several depths are of several scans.
         """
         rows, candidates = self.table.rows, proposed["needle"]
@@ -211,6 +212,9 @@ class TableDraft:
             column for column in self.all if "specimen" in column.meaning.split("|")
         ]
         has_points = self.groups or {"y", "deflection"} & (self.taken.keys() | proposed.keys())
+        numbers = [len(self.draft.curves.intersection(column.texts)) for column in candidates]
+        if not has_points and any(numbers):
+            return [candidates[numbers.index(max(numbers))]]
         least = 2 if has_points else 1  # rows of a needle: one states facts of it
 
         def count_names(*more: Column) -> int:

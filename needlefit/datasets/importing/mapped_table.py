@@ -198,7 +198,7 @@ class MappedTable(Table):
                 other = next(n for n in texts if texts[n] != text)
                 needles = self.name_edit("columns.needle.column")
                 raise DataError(
-                    f"{meaning} is {text[:40]!r} and {texts[other][:40]!r}",
+                    f"{meaning} of {self.names[first] or self.name} is {text[:40]!r} and {texts[other][:40]!r}",
                     expected="one value",
                     fix=f"correct the cell; or, if another column names needles: {needles}",
                     where=self.place_cell(other, meaning),
