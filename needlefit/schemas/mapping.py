@@ -32,8 +32,9 @@ class MeaningRecord(Record):
     """What words in the cells mean: `{up = "1", down = "-1"}`."""
     divide_by_root: ColumnName | None = None
     """Of standard deviations of single trials: the column with their number, for that of the mean."""
-    axes: Literal["", "x", "y", "z", "xy", "xz", "yz", "xyz"] = ""
-    """Of places of the guide: the axis of each column. Without it one column is y, two are y and z."""
+    axes: Literal["", "x", "y", "z", "xy", "xz", "yz", "xyz", "ras"] = ""
+    """Of places of the guide: the axis of each column. Without it one column is y, two are y and z. Of
+    vectors `ras`: right, anterior and superior, where points are in LPS."""
     sign: Literal[1, -1] = 1
     """-1: the numbers count in the other direction."""
 

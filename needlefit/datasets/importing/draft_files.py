@@ -32,6 +32,7 @@ from needlefit.datasets.importing.meanings import (
     MEANINGS,
     NAMED_BY_LAYER,
     VALUES,
+    VECTORS,
     Keys,
     Pairs,
     find_meaning,
@@ -462,12 +463,13 @@ def _ask_sides(columns: TableDraft, record: Keys, taken: Sequence[Column]) -> No
 
 def _spell(columns: TableDraft, meaning: str, taken: Sequence[Column]) -> Keys:
     """Return how a mapping names columns, and the unit of the first."""
-    names = [column.name for column in taken]
+    names, signs = [column.name for column in taken], {column.sign for column in taken}
+    usual = "ras" if meaning in VECTORS and -1 in signs else ""
     spelled = {
         "column": names[0] if len(names) == 1 else names,
         "unit": taken[0].unit,
-        "axes": "".join(column.axis for column in taken) if meaning == "guide" else "",
-        "sign": 0 if meaning in columns.taken else columns.signs.get(meaning, 0),
+        "axes": "".join(column.axis for column in taken) if meaning == "guide" else usual,
+        "sign": -1 if signs == {-1} and meaning not in columns.taken else 0,
         "words": dict.fromkeys(columns.excluded, EXCLUDED) if meaning == EXCLUDED else {},
     }
     return {key: value for key, value in spelled.items() if value}

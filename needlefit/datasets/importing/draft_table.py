@@ -75,7 +75,7 @@ class TableDraft:
         parts = [
             [head[n] for head in table.first_headers if n < len(head)] for n in range(len(table.headers))
         ]
-        headers, self.signs = name_axes([*map(_read_column, table.headers, parts)])
+        headers = name_axes([*map(_read_column, table.headers, parts)])
         self.all = list[Column]()
         for n, header in enumerate(headers):
             texts = [row[n] for row in table.rows if row[n]]

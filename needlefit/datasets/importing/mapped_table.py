@@ -182,6 +182,8 @@ class MappedTable(Table):
         for meaning in filter(self.record.columns.__contains__, ATTRIBUTES):
             sign = ", " if meaning in VECTORS else "; "
             cells = self.cells[meaning]
+            if self.record.columns[meaning].axes == "ras":
+                cells = [[*map(self._turn, row, (-1, -1, 1))] for row in cells]
             texts = {n: sign.join(filter(None, cells[n])) for n in rows if any(cells[n])}
             differ = len({*texts.values()}) > 1
             if (
@@ -196,9 +198,9 @@ class MappedTable(Table):
                 text = "; ".join(depths)  # a row for each layer
             elif differ:
                 other = next(n for n in texts if texts[n] != text)
-                needles = self.name_edit("columns.needle.column")
+                needles, name = self.name_edit("columns.needle.column"), self.names[first] or self.name
                 raise DataError(
-                    f"{meaning} of {self.names[first] or self.name} is {text[:40]!r} and {texts[other][:40]!r}",
+                    f"{meaning} of {name} is {text[:40]!r} and {texts[other][:40]!r}",
                     expected="one value",
                     fix=f"correct the cell; or, if another column names needles: {needles}",
                     where=self.place_cell(other, meaning),
@@ -212,3 +214,8 @@ class MappedTable(Table):
         if "thickness" in stated:
             stated["boundaries"] = stated.pop("thickness").add_up()
         return stated
+
+    def _turn(self, text: str, sign: int) -> str:
+        """Return a number with a sign, and any other text as it is."""
+        number = self.number(text)
+        return text if number is None else f"{sign * number:.10g}"

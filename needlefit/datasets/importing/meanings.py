@@ -5,8 +5,9 @@ import re
 import tomllib
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -97,6 +98,7 @@ class Header:
     group: str = ""
     unit: str = ""
     beside: str = ""  # what the words beside an axis mean: `tip x`
+    sign: int = 1  # of an axis in LPS
 
     @property
     def is_known(self) -> bool:
@@ -210,20 +212,25 @@ def read_header(text: str) -> Header:
     return Header(text, "", axis, group, unit, beside)
 
 
-def name_axes(headers: Sequence[Header]) -> tuple[list[Header], dict[str, int]]:
-    """Return headers some of which are axes only together, as `r, a, s`; and the signs of axes in LPS."""
-    words = ["".join(split_unit(header.text)[0].casefold().split()) for header in headers]
-    for system in _FILE["axes"]:
-        if {*system["names"]} <= {*words}:
-            axes = dict(zip(system["names"], "xyz", strict=False))
-            named = [
-                Header(header.text, "", axes[word], unit=header.unit or system["unit"])
-                if word in axes
-                else header
-                for header, word in zip(headers, words, strict=True)
-            ]
-            return named, system["signs"]
-    return [*headers], {}
+def name_axes(headers: Sequence[Header]) -> list[Header]:
+    """Return headers some of which are axes only together, as `r, a, s` or `entry R, entry A, entry S`."""
+    named, groups = [*headers], dict[str, dict[str, int]]()
+    for n, header in enumerate(headers):
+        plain = " ".join(split_unit(header.text)[0].casefold().replace("_", " ").split())
+        rest, _, letter = plain.rpartition(" ")
+        groups.setdefault(rest, {})[letter] = n
+    for system, (rest, places) in product(_FILE["axes"], groups.items()):
+        axes = dict(zip(system["names"], "xyz", strict=False))
+        for letter, axis in axes.items() if axes.keys() <= places.keys() else ():
+            header = headers[places[letter]]
+            usual = "" if rest else system["unit"]
+            named[places[letter]] = replace(
+                read_header(f"{rest} {axis}".strip()),
+                text=header.text,
+                unit=header.unit or usual,
+                sign=system["signs"].get(axis, 1),
+            )
+    return named
 
 
 def read_side(text: str, unit: str) -> float | None:
