@@ -61,10 +61,12 @@ class MM:
     # Where blur shows, four deviations of a wide one: shorter runs of material are blur, air in gaps of twice
     # that has no level, and a streak beyond the tip fades; edges are fitted over four times that
     BLUR_REACH = 2.0
-    # Within which voxels show one thing: air between soft runs is longer, and the shaft outside begins there
+    # Within which voxels show one thing: air between soft runs is longer, the shaft outside begins there, and
+    # a tip this near to the volume's face may lie outside
     BLUR_CORE = BLUR_REACH / 2
-    # Within which the blur of an edge shows: thinner guides show no step, a needle is faint, an end this near
-    # to the volume's face has left it, and so far behind its bevel its tip is fitted
+    # Within which the blur of an edge shows: thinner guides show no step, a needle is faint, a base this near
+    # to the volume's face, or a tip along its course, has left it, and so far behind its bevel its tip is
+    # fitted
     EDGE_BLUR = 3.0
     EDGE_SD = 0.02  # of an edge that no scatter shows: a kernel's sides are not alike [G]
     SHAFT = 5.0  # least length of shaft outside the tissue that shows an axis
