@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from needlefit.arrays import Floats
 from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG
 from needlefit.datasets.importing.draft_table import (
     MAX_FLAGS,
@@ -42,7 +43,7 @@ from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
 from needlefit.geometry.common_direction import fit_direction
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
-from needlefit.geometry.frames import normalize, to_unit
+from needlefit.geometry.frames import RAS_TO_LPS, normalize, to_unit
 from needlefit.geometry.measured_curve import measure_curve
 from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
 from needlefit.project.locate import join_names
@@ -92,6 +93,9 @@ class ShapePlacer(Placer):
             fix = f"if their points go from the tip to the entry: {sets} ({list_places(against)}); "
             fix += "or, if needles enter from two sides, state "
             fix += f"{name_set('entry', 'first')}, and {name_set('pose', 'free')}"
+            start = np.mean([curve.line[0] for curve in self.curves if curve not in against], axis=0)
+            if turned := [curve for curve in against if is_mirrored(curve, start)]:
+                fix = f"if x and y of {list_names(turned)} are of RAS, not LPS, correct it in the file; {fix}"
         along = to_unit(chord)
         first, last = (float(np.ptp([curve.line[end] @ along for curve in self.curves])) for end in (0, -1))
         is_open = not against and self.stated("pose") in ("", "free") and first > last + MIN_CUT_MM
@@ -162,7 +166,11 @@ class ShapePlacer(Placer):
             reason = (
                 f"the shapes begin up to {start:.2g} mm from the origin; of {without} the tip is known alone"
             )
-        long = (curve for curve in self.curves if curve.length - curve.depth > curve.depth_tolerance)
+        long = (
+            curve
+            for curve in self.curves
+            if curve.length - curve.depth > curve.depth_tolerance and not find_unit(curve, curve.length)
+        )
         if (curve := next(long, None)) is not None:
             guess = "depth" if is_shaft else ""
             place = f"its depth {curve.depth:g} mm in {curve.stated['depth'].where}"
@@ -225,11 +233,8 @@ class ShapePlacer(Placer):
                 )
             if abs(curve.depth - length) > limit:
                 fix = "look at the depth and at the order of the points; or cut off a shaft by entry_point"
-                units = [unit for unit, mm in UNITS_MM.items() if abs(length * mm - curve.depth) < limit]
-                if units:
-                    fix = (
-                        f"its coordinates look like {units[0]}: correct them, or {name_set('unit', units[0])}"
-                    )
+                if unit := find_unit(curve, length):
+                    fix = f"its coordinates look like {unit}: correct them, or {name_set('unit', unit)}"
                 expected = f"within {limit:.1f} mm the length of {curve.name}, which is {length:.1f} mm"
                 raise curve.stated["depth"].error(expected, fix)
 
@@ -390,6 +395,24 @@ def list_places(curves: Sequence[ImportedCurve]) -> str:
         last = len(curve.line) - 1
         texts.append(f"{curve.name}, {curve.points.where()} to {curve.points.where(last)}")
     return join_names(texts, 5)
+
+
+def is_mirrored(curve: ImportedCurve, start: Floats) -> bool:
+    """Whether a needle begins nearer to `start` (3,), mm, read in RAS than read from its last point."""
+    first, last = RAS_TO_LPS.to_world(curve.line[:1])[0], curve.line[-1]
+    return bool(np.linalg.norm(first - start) < np.linalg.norm(last - start))
+
+
+def find_unit(curve: ImportedCurve, length: float) -> str:
+    """Return the unit in which a needle is as long as it is deep: another one than mm, or mm read as another.
+
+    Empty if there is none. `length`: as it was read, mm.
+    """
+    for name, mm in UNITS_MM.items():
+        for unit, factor in ((name, mm), ("mm", 1 / mm)):
+            if abs(length * factor - curve.depth) < curve.depth_tolerance:
+                return unit
+    return ""
 
 
 def cut_shaft(curve: ImportedCurve, arc: float, other_end: str) -> None:
