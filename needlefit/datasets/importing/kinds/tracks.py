@@ -36,6 +36,7 @@ MIN_GUIDE_PART = 0.5  # smallest fraction of a guide's motion that is used, wher
 MIN_BEVEL_DEG = 60.0  # smallest angle (degrees) from the insertion to the direction that bevels face
 #: largest step back of a tip, in its SD, that is noise: 5 SD of the difference of two readings
 MAX_BACKWARD_SDS = 5 * np.sqrt(2)
+DEPTH_DECIMALS = 4  # decimals of depths (mm) in tracks.csv: depths that are written alike are of one place
 MIN_TRACK_SLOPE = 0.7  # smallest movement (mm per mm of depth) of a tip whose coordinates are all in space
 
 
@@ -276,7 +277,8 @@ def measure_depths(asked: CurveAnswers) -> None:
     for curve, sd in asked.numbers("point_sd", is_above=True).items():
         if curve not in moved:
             continue  # its file states them
-        depths = (curve.line - (entries[curve].to_vector() if entries else curve.line[0])) @ axis
+        start = entries[curve].to_vector() if entries else curve.line[0]
+        depths = ((curve.line - start) @ axis).round(DEPTH_DECIMALS)
         deepest, is_kept, why = np.maximum.accumulate(depths), depths >= 0, "before the entry"
         if np.any(np.diff(depths) <= 0) and np.all(deepest - depths <= MAX_BACKWARD_SDS * sd):
             is_kept &= np.diff(deepest, prepend=-np.inf) > 0
@@ -284,9 +286,9 @@ def measure_depths(asked: CurveAnswers) -> None:
         keep_readings(asked, curve, depths, is_kept, why)
         if zeros:
             count_depths(asked, curve, zeros[curve])
-    start = "the entry point" if entries else "the first reading"
+    origin = "the entry point" if entries else "the first reading"
     less = ", less what depth_zero states" if zeros else ""
-    asked.assumed["depth"] = f"the path of the tip along {pose.text} from {start} on{less}"
+    asked.assumed["depth"] = f"the path of the tip along {pose.text} from {origin} on{less}"
 
 
 def keep_readings(
