@@ -83,11 +83,13 @@ def draft_mapping(paths: Sequence[Path], pairs: Pairs) -> tuple[Draft, list[Path
             expected=f"at most {MAX_CURVES}",
             fix="name the folder of the needles",
         )
-    first = Draft(pairs)
-    first.names = draft.names
-    _draft_files(files, first)
-    draft.curves = first.curves
+    again = Draft(pairs)
+    again.names, again.unused = draft.names, [*draft.unused]
     _draft_files(files, draft)
+    if draft.curves and not all(KINDS[table["holds"]].has_points for table in draft.tables):
+        # the column that names needles in a table of facts may be known by curves of a later file
+        again.curves, draft = draft.curves, again
+        _draft_files(files, draft)
     for meaning, parts in draft.columns.items():
         if "column" in parts and draft.headers and meaning not in draft.columns_read:
             raise DataError(
