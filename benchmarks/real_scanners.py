@@ -277,7 +277,7 @@ def _measure_errors(one: Reconstruction, case: Case) -> dict[str, object]:
         "bevel_deg": float(angle),
         "bevel_stated": bool(np.isfinite(angle)),
         "bevel_sd_deg": float(np.degrees(one.needle_axis.roll_sd)),
-        "tip_warned": bool(list_tip_warnings(one)),
+        "tip_warned": any(list_tip_warnings(one)),
         "warnings": len(one.warnings),
         "what": " | ".join(one.warnings),
     }

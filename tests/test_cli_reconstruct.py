@@ -202,7 +202,6 @@ def changed(**cells):
 
 
 SWEEP = pytest.mark.sweep
-NO_BEVEL = {"bevel_side": "-1", "bevel_x": "", "bevel_y": "", "bevel_z": ""}
 
 
 @pytest.mark.parametrize(
@@ -214,7 +213,6 @@ NO_BEVEL = {"bevel_side": "-1", "bevel_x": "", "bevel_y": "", "bevel_z": ""}
         pytest.param(short_needle, r"sample\.nrrd: gives no insertion.*20 mm long", marks=SWEEP),
         (changed(entry_y_mm="-2.5"), "outside the tissue"),  # the sign of RAS: with its row of the dataset
         (changed(entry_dx="-1.0"), "does not pass the entry"),
-        (changed(**NO_BEVEL), "no bevel direction"),
         (changed(layers="3", layers_alternative="3"), "3 layers|3 were counted"),
     ],
 )

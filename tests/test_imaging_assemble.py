@@ -160,4 +160,5 @@ def own_surface(profile):
     ],
 )
 def test_doubtful_reconstructions_give_warnings(one, words):
-    assert any(re.search(words, warning) for warning in collect_warnings(one())), collect_warnings(one())
+    warnings = [*collect_warnings(one())]
+    assert any(re.search(words, warning) for warning in warnings), warnings

@@ -42,7 +42,7 @@ def test_a_resumed_batch_makes_unfinished_scans_only_and_its_results_are_the_sam
         views = (ScanView(("x", "y"), np.array([[np.nan, 1 / 3]]), (0.0, 1.0, -1.0, 2.5)),)
         picture = CurvePicture(views, np.arange(6).reshape(2, 3) / 7, np.empty(0))
         error = DataError("cut", where=scan.volume, fix="copy it")
-        return (ReconstructionFailure(scan, error, picture=picture, asked=2),)
+        return (ReconstructionFailure(scan, error, picture=picture, asked=True),)
 
     monkeypatch.setattr(batch, "reconstruct_needles", refuse)
     scans = [replace(sample, id=name) for name in "abc"]
@@ -53,7 +53,7 @@ def test_a_resumed_batch_makes_unfinished_scans_only_and_its_results_are_the_sam
     assert made == ["a", "b", "c"]
     for results, at_once in zip(resumed, reconstruct_all(scans, RECIPE, ReconstructionBatch()), strict=True):
         ((failure,), (other,)) = results, at_once
-        assert failure.scan.files == other.scan.files and failure.asked == 2
+        assert failure.scan.files == other.scan.files and failure.asked
         assert str(failure.error) == str(other.error) and type(failure.error) is DataError
         (view,), (same,) = failure.picture.views, other.picture.views
         assert view.extent == same.extent and view.values.tobytes() == same.values.tobytes()

@@ -18,7 +18,7 @@ from needlefit.imaging.batch import reconstruct_needles
 from needlefit.imaging.needle import centerline, follow
 from needlefit.imaging.needle.centerline import refuse_fold
 from needlefit.imaging.needle.segmentation import select_needle
-from needlefit.imaging.reconstruct import examine
+from needlefit.imaging.reconstruct import Examination, VolumeSearch, examine
 from needlefit.imaging.scans import Corrections, Scan
 from needlefit.imaging.volume import Volume
 from needlefit.project.toml import load
@@ -167,8 +167,8 @@ def test_a_needle_whose_tip_alone_leaves_the_volume_is_not_reversed(tmp_path, mo
         size = (48, 48, int((top + 22.0) / cases.SPACING))
         cut = cases.scan(cases.axis(), grid=cases.grid(size=size, origin=np.array([0, 0, -22.0])))
         scan = Scan("cut", tmp_path / "cut.nrrd", "box", corrections=moved)
-        refused = examine(cut, scan, cases.RECIPE).error
-        assert refused is not None and "entry_direction" in refused.fix
+        search = VolumeSearch(cut, cases.RECIPE)
+        assert "entry_direction" in refusal(DataError, "", examine, Examination(scan), search).fix
 
 
 def test_a_curve_that_turns_back_is_refused():

@@ -22,6 +22,7 @@ from needlefit.cli.reconstruct import name_answer
 from needlefit.errors import DataError
 from needlefit.imaging.batch import reconstruct_needles
 from needlefit.imaging.corrections import correct_scans, make_control_points, read_corrections
+from needlefit.imaging.reconstruction import MarkerResult
 from needlefit.imaging.scans import Corrections, Scan, make_scans, read_scans
 from needlefit.project.locate import shipped_folder
 from needlefit.reporting.scan_pages import write_refusal_page
@@ -34,11 +35,12 @@ NEEDLE = np.array([-20.0, 30, 5]) + np.stack(
     [np.zeros(81), np.linspace(0, 2, 81) ** 2, np.arange(81.0)], axis=1
 )
 BALLS = np.array([[10.0, 20, 30], [-12, 8, 5], [40, 3, -9], [7, -31, 22]])
+MARKERS_FOUND = MarkerResult(BALLS, np.full(4, 0.01), "volume")
 
 
 @pytest.fixture
 def file(tmp_path):
-    write_control_points(make_control_points("s1", NEEDLE, NEEDLE[30], BALLS), tmp_path)
+    write_control_points(make_control_points("s1", NEEDLE, NEEDLE[30], MARKERS_FOUND), tmp_path)
     return tmp_path / "s1.corrections.mrk.json"
 
 

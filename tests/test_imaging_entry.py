@@ -23,7 +23,7 @@ from needlefit.imaging.entry import (
     find_entry_arc_length,
     pose_from_shaft,
 )
-from needlefit.imaging.reconstruct import examine
+from needlefit.imaging.reconstruct import Examination, VolumeSearch, examine
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
 from needlefit.imaging.scans import Corrections, LayerSource, Scan
 
@@ -280,12 +280,9 @@ def test_a_surface_far_from_where_tissue_is_seen_is_refused(tmp_path):
 )
 def test_a_contact_lies_before_the_tip(before_tip, words):
     placed = np.array([11.0, 11.0, 40.0 - before_tip])
-    volume = cases.scan(cases.axis())
-    found = examine(
-        volume, Scan("one", Path("one.nrrd"), "box", corrections=Corrections(entry=placed)), cases.RECIPE
-    )
+    scan = Scan("one", Path("one.nrrd"), "box", corrections=Corrections(entry=placed))
+    search = VolumeSearch(cases.scan(cases.axis()), cases.RECIPE)
     if words:
-        assert found.error is not None and re.search(words, found.error.what)
+        assert re.search(words, refusal(DataError, "", examine, Examination(scan), search).what)
     else:
-        assert found.reconstruction is not None
-        assert found.reconstruction.depth == approx(before_tip, abs=0.15)
+        assert examine(Examination(scan), search).depth == approx(before_tip, abs=0.15)

@@ -81,9 +81,7 @@ def test_a_needle_alone_and_nothing_bright_hold_no_marker():
     dull = Volume(
         rng.normal(40, 30, (40, 40, 40)).astype(np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3)
     )
-    caught = refusal(DataError, "", find_markers, dull, RECIPE)
-    assert caught.expected
-    assert caught.fix
+    assert len(find_markers(dull, RECIPE).centers) == 0
 
 
 # files

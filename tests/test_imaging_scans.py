@@ -84,6 +84,7 @@ def test_every_column_comes_through_and_has_a_default(folder):
         ("scan,origin", "one.nrrd,guessed", "origin is 'guessed'"),
         ("scan,layers", "one.nrrd,two", "layers is 'two'"),
         ("scan,layers_alternative", "one.nrrd,2", "layers_alternative"),
+        ("scan,bevel_side", "one.nrrd,-1", "no bevel direction"),
         ("scan,bevel_side", "one.nrrd,2", "bevel_side is '2'"),
         ("scan,bevel_x", "one.nrrd,1", "bevel_y is empty"),
         ("scan,guide_distance_mm", "one.nrrd,-3", "guide_distance_mm is '-3'"),

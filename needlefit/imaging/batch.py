@@ -9,21 +9,21 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from needlefit.datasets.formats.markups import Markups
-from needlefit.errors import DataError, NeedlefitError
+from needlefit.errors import DataError, NeedlefitError, located
 from needlefit.geometry.curves import interpolate_at_arc
 from needlefit.imaging.constants import PART
 from needlefit.imaging.corrections import make_control_points
 from needlefit.imaging.needle.follow import list_middles
 from needlefit.imaging.needle.segmentation import list_needles
-from needlefit.imaging.reconstruct import STAGES, VolumeSearch, examine, picture_curve
-from needlefit.imaging.reconstruction import CurvePicture, Reconstruction, render_views
+from needlefit.imaging.reconstruct import STAGES, Examination, VolumeSearch, examine, picture_curve
+from needlefit.imaging.reconstruction import CurvePicture, Reconstruction
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.volume import explain_refusal
+from needlefit.imaging.volume import Volume, explain_refusal
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.callbacks import Progress, Stop, never_stop, no_progress
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
@@ -31,9 +31,6 @@ from needlefit.project.processes import one_thread
 from needlefit.project.stored_values import decode, encode
 from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
-
-T = TypeVar("T")
-
 
 VERSIONED_PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", "trimesh")
 
@@ -48,7 +45,7 @@ class ReconstructionFailure:
     entries: Markups | None = None  # the entries to choose from, faces of guides and the tip, likewise
     warnings: tuple[str, ...] = ()  # what a person should know of the scan's files
     picture: CurvePicture | None = None  # of what was taken for the needle
-    asked: int = 0  # how many answers about the entry a person may choose from
+    asked: bool = False  # whether a person may choose an answer about the entry
 
 
 @dataclass(frozen=True)
@@ -67,18 +64,16 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
 
     So is one of which something is stated that only one needle has, or in which nothing is found.
     """
-    own = (scan.needle_at, scan.stage, scan.corrections, scan.mask)
-    if any(stated is not None for stated in own):
+    of_one_needle = (scan.needle_at, scan.stage, scan.corrections, scan.mask)
+    if any(stated is not None for stated in of_one_needle):
         return (scan,)
     with suppress(NeedlefitError):  # its reconstruction says why
-        size = search.recipe.needle.diameter_mm
-        parts = list_needles(search.tubes, size, PART.DIVIDED_NEEDLE)
-        away = [np.linalg.norm(part.points - part.points.mean(axis=0), axis=1) for part in parts]
-        middles = [part.points[np.argmin(off)] for part, off in zip(parts, away, strict=True)]
+        tubes = list_needles(search.tubes, search.recipe.needle.diameter_mm, PART.DIVIDED_NEEDLE)
+        middles = [line[len(line) // 2] for line in map(list_middles, tubes)]
         if len(middles) > 1:
-            ones = enumerate(sorted(middles, key=lambda middle: float(middle[0])), start=1)
             return tuple(
-                replace(scan, id=f"{scan.id}-{n}", needle_at=at, divided=len(parts)) for n, at in ones
+                replace(scan, id=f"{scan.id}-{n}", needle_at=middle, divided=len(tubes))
+                for n, middle in enumerate(sorted(middles, key=lambda middle: float(middle[0])), start=1)
             )
     return (scan,)
 
@@ -130,66 +125,61 @@ def reconstruct_needles(
     `progress` is called with the needle and the stage that begins, and the percent done, of 100 a needle.
     """
     progress(f"{scan.id}: reading", 0, 100)
-    search = _try_step(scan, lambda: VolumeSearch(read_volume(scan.volume, scan.series), recipe))
-    if isinstance(search, ReconstructionFailure):
-        return (search,)
-    needles = divide_scan(search, scan) if every else (scan,)
-    ids = [part.id for part in needles]
-    if scan.answers.keys() - ids:
-        error = DataError(
-            f"holds the needles {', '.join(ids)}, but an answer is about {', '.join(scan.answers)}",
-            expected="answers that name a needle each",
-            fix=f"state its needle: --confirm {ids[0]}:entry=1",
-            where=scan.volume,
-        )
+    try:
+        search = VolumeSearch(read_volume(scan.volume, scan.series), recipe)
+        needles = divide_scan(search, scan) if every else (scan,)
+        if scan.answers.keys() - {needle.id for needle in needles}:
+            ids, answered = (", ".join(names) for names in ([needle.id for needle in needles], scan.answers))
+            raise DataError(
+                f"holds the needles {ids}, but an answer is about {answered}",
+                expected="answers that name a needle each",
+                fix=f"state its needle: --confirm {needles[0].id}:entry=1",
+                where=scan.volume,
+            )
+    except NeedlefitError as error:
         return (ReconstructionFailure(scan, error),)
-    found = []
-    for n, part in enumerate(needles):
+    results = []
+    for n, needle in enumerate(needles):
 
-        def report(stage: str, n: int = n, id_: str = part.id) -> None:
+        def report(stage: str, n: int = n, id_: str = needle.id) -> None:
             share = n + STAGES[stage] / STAGES["quality page"]
             progress(f"{id_}: {stage}", round(100 * share), 100 * len(needles))
 
-        found.append(_try_step(part, partial(_reconstruct_needle, search, part, report)))
-    return tuple(found)
+        results.append(_reconstruct_needle(search, needle, report))
+    return tuple(results)
 
 
 def _reconstruct_needle(search: VolumeSearch, scan: Scan, report: Callable[[str], None]) -> Result:
-    found = examine(search.volume, scan, search.recipe, search, report)
-    report("pictures")
-    if found.error is None and found.reconstruction is not None:
-        one = found.reconstruction
-        place = one.patient, one.frame, one.needle_axis.points
-        one = replace(one, views=render_views(search.volume, *place))
-        if scan.corrections is None:
-            return one
-        moved = [name for name, places in vars(scan.corrections).items() if places is not None]
-        return replace(one, warnings=(f"corrected by hand: {', '.join(moved)}", *one.warnings))
-    failed = found.error or NeedlefitError("nothing was found", where=scan.volume)
-    failed = explain_refusal(failed, search.volume)
-    needle = None if found.needle_axis is None else found.needle_axis.points
-    if needle is None and (tube := found.selection) is not None:  # about where it is
-        axis = tube.axis
-        needle = list_middles(tube.needle) if axis is None else axis.spline(np.arange(0.0, axis.length, 1.0))
-    balls = np.empty((0, 3)) if found.markers is None else found.markers.centers
-    entries, entry, listed = np.empty((0, 3)), found.entry, None
-    if needle is not None and entry is not None:
-        answers = entry.answers or (entry,)
-        entries, places = interpolate_at_arc(needle, [answer.at for answer in answers]), {"tip": needle[-1]}
-        for n, (answer, point) in enumerate(zip(answers, entries, strict=True), start=1):
-            ends = interpolate_at_arc(needle, answer.guide or ())
-            labels = f"guide {n} begins", f"guide {n} ends"
-            places |= {f"entry {n}": point, **dict(zip(labels, ends, strict=False))}
-        listed = Markups(
-            Path(scan.id), f"{scan.id} entries", "Fiducial", tuple(places), np.array([*places.values()])
-        )
-    points = make_control_points(scan.id, needle, entries[0] if len(entries) else None, balls)
-    picture = None if needle is None else picture_curve(search.volume, needle, entries)
-    return ReconstructionFailure(scan, failed, points, listed, search.volume.warnings, picture, found.asked)
-
-
-def _try_step(scan: Scan, work: Callable[[], T]) -> T | ReconstructionFailure:
+    found = Examination(scan)
     try:
-        return work()
+        with located(scan.volume):
+            return examine(found, search, report)
     except NeedlefitError as error:
-        return ReconstructionFailure(scan, error)
+        return _describe_failure(search.volume, found, error)
+
+
+def _describe_failure(volume: Volume, found: Examination, error: NeedlefitError) -> ReconstructionFailure:
+    """Return why a scan is refused, with what was found in it as points and in a picture."""
+    scan, needle, entry = found.scan, found.curve, found.entry
+    answers = entry.answers or (entry,) if entry is not None else ()
+    entries, listed, picture = np.empty((0, 3)), None, None
+    if needle is not None:
+        entries = interpolate_at_arc(needle, [answer.at for answer in answers])
+        picture = picture_curve(volume, needle, entries)
+        places = {"tip": needle[-1]}
+        for n, (answer, point) in enumerate(zip(answers, entries, strict=True), start=1):
+            faces = interpolate_at_arc(needle, answer.guide or ())
+            labels = f"guide {n} begins", f"guide {n} ends"
+            places |= {f"entry {n}": point, **dict(zip(labels, faces, strict=False))}
+        if answers:
+            points = np.array([*places.values()])
+            listed = Markups(Path(scan.id), f"{scan.id} entries", "Fiducial", tuple(places), points)
+    return ReconstructionFailure(
+        scan,
+        explain_refusal(error, volume),
+        make_control_points(scan.id, needle, next(iter(entries), None), found.markers),
+        listed,
+        volume.warnings,
+        picture,
+        asked=entry is not None and error is entry.doubt,
+    )

@@ -16,7 +16,7 @@ from needlefit.datasets.formats.markups import Markups, read_markups
 from needlefit.errors import DataError, located
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.imaging.needle.follow import MIN_POINTS
-from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.reconstruction import MarkerResult, Reconstruction
 from needlefit.imaging.scans import Corrections, Scan
 
 LIST_NAME = "corrections"  # name of a list of control points, after the id of its scan
@@ -31,14 +31,14 @@ _BALLS = re.compile(r", one of (\d+) balls")  # behind it: a ball that was remov
 
 
 def make_control_points(
-    id_: str, needle: Floats | None, entry: Floats | None, balls: Floats
+    id_: str, needle: Floats | None, entry: Floats | None, markers: MarkerResult | None
 ) -> Markups | None:
     """Return the control points of a scan, LPS; None if nothing was found in it.
 
     `needle`: (N, 3) or None; its axis from base to tip, mm.
     `entry`: (3,) or None; where it enters the tissue.
-    `balls`: (M, 3); the markers.
     """
+    balls = np.empty((0, 3)) if markers is None else markers.centers
     points: list[tuple[str, Floats]] = []
     if needle is not None:
         s = arc_length(needle)
@@ -63,8 +63,8 @@ def make_control_points(
 def list_control_points(reconstruction: Reconstruction) -> Markups | None:
     """Return the control points by which a reconstruction is corrected, LPS."""
     (entry,) = reconstruction.patient.to_local(reconstruction.points[:1])
-    balls = np.empty((0, 3)) if reconstruction.markers is None else reconstruction.markers.centers
-    return make_control_points(reconstruction.scan.id, reconstruction.needle_axis.points, entry, balls)
+    needle, markers = reconstruction.needle_axis.points, reconstruction.markers
+    return make_control_points(reconstruction.scan.id, needle, entry, markers)
 
 
 def read_corrections(path: Path) -> dict[str, Corrections]:

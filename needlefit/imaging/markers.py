@@ -63,8 +63,6 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
     volume cuts: its centre would be pulled aside.
 
     `exclude`: (N, 3); voxels i, j, k of the needle, never a marker.
-
-    DataError if nothing in the volume is bright enough.
     """
     rules = recipe.markers
     diameter, given = rules.diameter_mm, rules.threshold_hu
@@ -75,52 +73,26 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
         levels = [start + HU.METAL_CONTRAST * LEVEL_RATIO**n for n in range(number)]
     listed = volume.list_bright(levels[0])
     wanted = _voxel_count(volume, PART.BALL_DIAMETERS[0] * diameter)
-    counts = {level: np.count_nonzero(listed.values > level) for level in levels}
-    levels = [level for level, count in counts.items() if wanted <= count <= MAX_LISTED_VOXELS]
-    if not levels:
-        raise DataError(
-            "; ".join(f"{count} voxels exceed {level:.0f} HU" for level, count in counts.items()),
-            expected=(
-                f"the {wanted:.0f} voxels or more of a ball of {diameter:g} mm, and no "
-                f"more than {MAX_LISTED_VOXELS:.0g} in all"
-            ),
-            fix=(
-                "check that the scan holds the markers and is in HU; set "
-                "markers.threshold_hu in the recipe, or place the fiducials by hand"
-            ),
-            where="markers in the volume",
-        )
-
+    counts = [np.count_nonzero(listed.values > level) for level in levels]
+    shown = [
+        level for level, count in zip(levels, counts, strict=True) if wanted <= count <= MAX_LISTED_VOXELS
+    ]
     tried: list[Floats] = []
     balls: list[SphereFit] = []
-    rejected: list[tuple[float, Floats, str]] = []  # misfit over the one allowed, place, and in words
-    for blob in find_blobs(volume, listed, levels, diameter, exclude):
+    for blob in find_blobs(volume, listed, shown, diameter, exclude):
         middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
         # the same ball appears at several levels: it is fitted once
-        if _is_near(middle, tried, diameter / 2):
+        if any(np.linalg.norm(middle - place) < diameter / 2 for place in tried):
             continue
         tried.append(middle)
         ball = fit_sphere(volume, blob, diameter / 2)
-        # what the recipe allows, and what the noise around the ball leaves
-        limit = float(np.hypot(rules.max_misfit, SD.OUTLIER * ball.noise))
-        if fault := _find_fault(volume, ball, middle, limit):
-            place = ", ".join(f"{x:.0f}" for x in middle)
-            words = f"{blob.diameter:.1f} mm wide with its blur at L, P, S = {place}: {fault}"
-            rejected.append((ball.misfit / limit, middle, words))
-        else:
+        if _is_whole(volume, ball, middle, rules.max_misfit):
             tried.append(ball.center)
             balls.append(ball)
-    centers = [ball.center for ball in balls]
-    others = [one for one in rejected if not _is_near(one[1], centers, diameter / 2)]
-    seen = f"{len(balls)} balls of {diameter:g} mm were found"
-    if others:
-        likest = min(others, key=lambda one: one[0])[2]
-        seen += f"; {len(others)} other candidates, the most similar {likest}"
     return MarkerResult(
-        centers=np.array(centers).reshape(-1, 3),
+        centers=np.array([ball.center for ball in balls]).reshape(-1, 3),
         sd=np.array([ball.sd for ball in balls]),
         source="volume",
-        candidates=seen,
         spread=average_spreads([ball.spread for ball in balls]),
     )
 
@@ -168,20 +140,16 @@ def refine_fiducials(
     pairs = np.stack(linear_sum_assignment(np.minimum(apart, 2 * reach)))
     mark, ball = pairs[:, apart[tuple(pairs)] <= reach]
     centers[mark], sd[mark] = balls.centers[ball], balls.sd[ball]
-    seen = f"{len(given)} fiducials were placed by hand"
-    return replace(balls, centers=centers, sd=sd, source="fiducials", candidates=seen)
+    return replace(balls, centers=centers, sd=sd, source="fiducials")
 
 
-def _find_fault(volume: Volume, ball: SphereFit, middle: Floats, max_misfit: float) -> str:
-    """Return why a fit, begun at `middle`, shows no ball, or not the whole of it; empty if it does."""
-    if measure_face_distance(volume, ball.center[None]) < ball.radius:
-        return "cut by the volume's face"
+def _is_whole(volume: Volume, ball: SphereFit, middle: Floats, max_misfit: float) -> bool:
+    """Return whether a fit, begun at `middle`, shows a ball, and the whole of it.
+
+    `max_misfit`: what the recipe allows; beside it stands what the noise around the ball leaves.
+    """
+    within = measure_face_distance(volume, ball.center[None]) >= ball.radius
     # a blur at its upper bound means that the fit did not find a ball
-    moved = np.linalg.norm(ball.center - middle) >= ball.radius
-    if moved or ball.spread.blur >= 0.99 * SCANNER.BLUR.range[1]:
-        return "no ball of this size explains it"
-    return f"misfit {ball.misfit:.2f}, at most {max_misfit:.2f} allowed" * (ball.misfit > max_misfit)
-
-
-def _is_near(point: Floats, others: list[Floats], reach: float) -> bool:
-    return any(float(np.linalg.norm(point - other)) < reach for other in others)
+    explained = ball.spread.blur < 0.99 * SCANNER.BLUR.range[1]
+    alike = ball.misfit <= np.hypot(max_misfit, SD.OUTLIER * ball.noise)
+    return bool(within and explained and alike and np.linalg.norm(ball.center - middle) < ball.radius)

@@ -2,22 +2,21 @@
 
 Derive a reconstruction from what was detected: centreline in the world, entry pose, layers crossed.
 
-Reconstruct one scan step by step; what was found is kept, also where a step fails. Refuse layers that cannot
-be right, and list warnings for the user.
+Reconstruct one scan step by step; what was found is kept, for the picture of a scan that is refused. Refuse
+layers that cannot be right, and list warnings for the user.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.special import erfc
 
-from needlefit.arrays import Floats
-from needlefit.datasets.columns import BEVEL_FIX
+from needlefit.arrays import Floats, Ints
 from needlefit.datasets.layers import MAX_START_DISTANCE_MM
-from needlefit.errors import DataError, NeedlefitError, located
+from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_surface_hits, measure_enclosed_length
 from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, normalize
@@ -39,14 +38,14 @@ from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers,
 from needlefit.imaging.markers import find_markers, is_list_of_points, read_markers, refine_fiducials
 from needlefit.imaging.materials import find_rises, list_materials, sample_profile
 from needlefit.imaging.needle.centerline import Centerline, project_point, refuse_fold, trace_needle
-from needlefit.imaging.needle.follow import follow_points, follow_tube, read_mask_points, select_axis_voxels
-from needlefit.imaging.needle.segmentation import (
-    Component,
-    NeedleSelection,
-    find_tubes,
-    principal_axes,
-    select_needle,
+from needlefit.imaging.needle.follow import (
+    follow_points,
+    follow_tube,
+    list_middles,
+    read_mask_points,
+    select_axis_voxels,
 )
+from needlefit.imaging.needle.segmentation import Component, find_tubes, principal_axes, select_needle
 from needlefit.imaging.reconstruction import (
     CurvePicture,
     EntryPose,
@@ -58,28 +57,20 @@ from needlefit.imaging.reconstruction import (
 )
 from needlefit.imaging.registration import Registration, predict_mean_target_error, register
 from needlefit.imaging.scans import Corrections, Scan
-from needlefit.imaging.volume import (
-    Volume,
-    VoxelGrid,
-    doubt_air,
-    require_hounsfield,
-    require_inside,
-    turn_slices,
-)
-from needlefit.project.processes import one_thread
+from needlefit.imaging.volume import Volume, VoxelGrid, doubt_air, require_hounsfield, turn_slices
 from needlefit.project.unit_warnings import MIN_DEPTH_MM
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 
-def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the warnings about a reconstruction, the most important first: its tip, then `earlier` ones.
+def collect_warnings(result: Reconstruction) -> Iterator[str]:
+    """Yield the warnings about a reconstruction, the most important first: its tip.
 
-    DataError if the inserted length is not known to `MM.DEPTH_SD`.
+    DataError if the inserted length is not known to `MM.DEPTH_SD`, or a finding contradicts what is stated.
     """
-    if one.depth_sd > MM.DEPTH_SD:
-        tip, entry = float(one.needle_axis.tip_sd[0]), one.pose.along_sd
+    if result.depth_sd > MM.DEPTH_SD:
+        tip, entry = float(result.needle_axis.tip_sd[0]), result.pose.along_sd
         raise DataError(
-            f"the inserted length is known to ± {one.depth_sd:.2g} mm only (tip "
+            f"the inserted length is known to ± {result.depth_sd:.2g} mm only (tip "
             f"{tip:.2g}, entry {entry:.2g})",
             expected=f"± {MM.DEPTH_SD:g} mm or less",
             fix=(
@@ -88,55 +79,52 @@ def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[
                 "slices"
             ),
         )
-    return (
-        *list_tip_warnings(one),
-        *earlier,
-        *(() if one.registration is None else one.registration.warnings),
-        *_entry_warnings(one),
-        *_plane_warnings(one),
-    )
+    yield from list_tip_warnings(result)
+    if result.registration is not None:
+        yield from result.registration.warnings
+    yield from _entry_warnings(result)
+    yield from _plane_warnings(result)
+    yield from check_layers(result.scan, result.layers, result.points)
 
 
-def list_tip_warnings(one: Reconstruction) -> list[str]:
-    """Return what a person should know of the needle's image and its end."""
-    needle, notes = one.needle_axis, []
+def list_tip_warnings(result: Reconstruction) -> Iterator[str]:
+    """Yield what a person should know of the needle's image and its end."""
+    needle = result.needle_axis
     if (step := needle.step) is not None:
         away = float(np.linalg.norm(needle.tip - step.place))
-        notes.append(
+        yield (
             f"from one slice to the next, {away:.0f} mm before the tip (L, P, S = "
             f"{', '.join(f'{x:.0f}' for x in step.place)} mm), the needle goes on about {step.size:.1f} mm "
             "beside itself: the patient moved, or slices are missing or repeated; leave this scan out"
         )
-    sd = f"± {float(needle.tip_sd[0]):.2f} mm"
     if needle.tip_sd[0] > MM.TIP_DOUBT:
-        notes.append(f"the tip is known to {sd} only along the needle")
+        yield f"the tip is known to ± {needle.tip_sd[0]:.2f} mm only along the needle"
     if needle.normal_sd > MM.TIP_DOUBT:
-        notes.append(
+        yield (
             "the slices do not show well where along their normal the needle lies: tip "
             f"± {needle.normal_sd:.2f} mm; scan it across the slices, or with thinner ones"
         )
     if needle.misfit > (PART.SLICE_MISFIT if needle.normal_sd else PART.END_MISFIT):
-        notes.append(
+        yield (
             f"the image of the needle's end differs from that of the model by {100 * needle.misfit:.0f} % of "
             "its brightness: another diameter or bevel than stated, or metal or air beside it; look at it"
         )
     if np.isfinite(needle.bevel_deg):
-        notes.append(
+        yield (
             f"the image shows a bevel of {needle.bevel_deg:.0f} degrees, which contradicts "
             "needle.bevel_deg: the "
             "tip was fitted with the angle that the image shows; correct the recipe"
         )
-    excess = one.profile.core - one.profile.around
-    from_tip = one.profile.s - one.depth
+    excess = result.profile.core - result.profile.around
+    from_tip = result.profile.s - result.depth
     shaft = excess[(from_tip > -MM.HIDDEN) & (from_tip < -MM.BLUR_REACH)]
     if np.isfinite(shaft).any():
         bright = (from_tip > MM.BLUR_REACH) & (excess > np.nanmedian(shaft) / 2)
         if bright.any():
-            notes.append(
+            yield (
                 f"{from_tip[bright][0]:.1f} mm beyond the tip found, on the needle's axis, something is as "
                 "bright as the needle: rays may hide a part of it, and the tip lie further on; look at it"
             )
-    return notes
 
 
 def _entry_warnings(one: Reconstruction) -> Iterator[str]:
@@ -185,20 +173,22 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
             yield what
 
 
-def _plane_warnings(one: Reconstruction) -> Iterator[str]:
-    deflection = float(one.local[-1, 1])
-    error = float(np.hypot(one.sd[-1], np.hypot(one.pose.shift_sd, one.pose.angle_sd * one.depth)))
-    if one.scan.bevel is None and abs(deflection) < SD.DISAGREEMENT * error:
+def _plane_warnings(result: Reconstruction) -> Iterator[str]:
+    deflection = float(result.local[-1, 1])
+    error = float(
+        np.hypot(result.sd[-1], np.hypot(result.pose.shift_sd, result.pose.angle_sd * result.depth))
+    )
+    if result.scan.bevel is None and abs(deflection) < SD.DISAGREEMENT * error:
         yield (
             f"the tip lies {abs(deflection):.2f} ± {error:.2f} mm beside the entry axis: so straight, "
             "it determines no bending plane, and its deflection is biased upward; state the bevel's direction"
         )
-    visible_bevel = one.patient.rotation @ one.needle_axis.bevel
-    if one.scan.bevel is not None and np.isfinite(visible_bevel).all():
-        facing = one.scan.side * one.frame.rotation[:, 1]
-        across = visible_bevel - (visible_bevel @ one.frame.rotation[:, 0]) * one.frame.rotation[:, 0]
+    visible_bevel = result.patient.rotation @ result.needle_axis.bevel
+    if result.scan.bevel is not None and np.isfinite(visible_bevel).all():
+        facing = result.scan.side * result.frame.rotation[:, 1]
+        across = visible_bevel - (visible_bevel @ result.frame.rotation[:, 0]) * result.frame.rotation[:, 0]
         angle = float(np.arccos(np.clip(facing @ across / np.linalg.norm(across), -1, 1)))
-        if angle > SD.DISAGREEMENT * one.needle_axis.roll_sd:
+        if angle > SD.DISAGREEMENT * result.needle_axis.roll_sd:
             yield f"the bevel seen at the tip points {np.degrees(angle):.0f} degrees away from the one stated"
 
 
@@ -268,31 +258,17 @@ def tell_nobody(_stage: str) -> None:
 
 @dataclass
 class Examination:
-    """What the steps of a reconstruction found in a scan; None: the step failed, or was not reached."""
+    """What the steps of a reconstruction found in a scan, as far as they came."""
 
     scan: Scan
-    selection: NeedleSelection | None = None
-    needle_axis: Centerline | None = None  # LPS
     markers: MarkerResult | None = None
     registration: Registration | None = None
-    profile: IntensityProfile | None = None  # along the whole needle, s from its first point
+    axis: Centerline = field(init=False)  # LPS; set when it is traced
+    profile: IntensityProfile = field(init=False)  # along the whole needle, s from its first point; likewise
+    curve: Floats | None = None  # (N, 3); where the needle is, LPS, mm: roughly until its axis is traced
     entry: EntryCandidate | None = None  # where along it the scan shows that the tissue begins
     guide: tuple[float, float] | None = None  # where the guide before the tissue begins and ends, likewise
-    asked: int = 0  # how many answers a person may choose from
     confirmed: str = ""  # what was in doubt, and which answer a person gave
-    reconstruction: Reconstruction | None = None
-    error: NeedlefitError | None = None  # why the scan is refused: of the first step that failed
-    report: Callable[[str], None] = tell_nobody  # called with the stage that begins
-
-    @contextmanager
-    def step(self, stage: str = "") -> Iterator[None]:
-        """Run a step, the first of its `stage` where one is stated; keep its error, if it is the first."""
-        if stage:
-            self.report(stage)
-        try:
-            yield
-        except NeedlefitError as error:
-            self.error = self.error or error
 
     def answer(self, entry: EntryCandidate) -> EntryCandidate:
         """Return an entry, or, where it is in doubt, that of the answer that a person gave.
@@ -301,29 +277,17 @@ class Examination:
         """
         if entry.doubt is None:
             return entry
-        self.asked, number = len(entry.answers), self.scan.answers.get(self.scan.id)
-        if not number:
+        number = self.scan.answers.get(self.scan.id)
+        if number is None:
             raise entry.doubt
-        if number > self.asked:
+        if number > len(entry.answers):
             raise DataError(
                 f"there is no answer {number}: {entry.doubt.what}",
-                expected=f"1 to {self.asked}",
+                expected=f"1 to {len(entry.answers)}",
                 fix="give one of these numbers (--confirm entry=1)",
             )
         self.confirmed = f"answer {number}; {entry.doubt.what}"
         return entry.answers[number - 1]
-
-    @property
-    def axis(self) -> Centerline:
-        """The needle's axis, LPS, after it was found."""
-        assert self.needle_axis is not None
-        return self.needle_axis
-
-    @property
-    def brightness(self) -> IntensityProfile:
-        """The profile along the whole needle, after it was sampled."""
-        assert self.profile is not None
-        return self.profile
 
     @property
     def patient(self) -> Frame:
@@ -420,7 +384,7 @@ def _locate_tissue(
 def derive_reconstruction(
     found: Examination, recipe: ReconstructionRecord, grid: VoxelGrid
 ) -> Reconstruction:
-    """Derive the reconstruction from what was found in the volume; without views.
+    """Derive the reconstruction from what was found in the volume; without views and warnings.
 
     `grid`: where the scan's voxels stand.
 
@@ -430,7 +394,7 @@ def derive_reconstruction(
     surfaces = read_layers(scan, found.patient, grid)
     refuse_tunnels(surfaces, found.world)
     pose, shaft = estimate_first_contact(found, surfaces, recipe)
-    if scan.id in scan.answers and not found.asked:
+    if scan.id in scan.answers and not found.confirmed:
         raise DataError(
             "an answer about its entry is given, which is in no doubt",
             expected="answers to what is asked",
@@ -447,20 +411,8 @@ def derive_reconstruction(
     count = int(np.ceil((along[-1] - begin) / MM.STATION)) + 1
     stations = np.linspace(begin, along[-1], count)
     points, sd = interpolate_at_arc(found.world, stations), np.interp(stations, along, found.axis.sd)
-    if scan.bevel is None and scan.side < 0:
-        raise DataError(
-            "bevel_side is -1, but no bevel direction is stated",
-            expected="bevel_x, bevel_y, bevel_z beside it: without them +y points to where the needle went",
-            fix="state the bevel's direction, or leave bevel_side empty",
-            where=f"scan {scan.id}",
-        )
-    toward = scan.bevel
-    if toward is None:
-        toward = find_bending_direction(points, pose.direction)
-    try:
-        frame = make_entry_frame(pose.origin, pose.direction, toward)
-    except DataError as error:
-        raise DataError(error.what, expected=error.expected, fix=BEVEL_FIX) from None
+    toward = find_bending_direction(points, pose.direction) if scan.bevel is None else scan.bevel
+    frame = make_entry_frame(pose.origin, pose.direction, toward)
     errors = estimate_layer_errors(scan, recipe, sd, pose, found.registration)
     layers = find_crossed_layers(points, frame, surfaces, errors)
     drawn, registration = found.axis.sections, found.registration
@@ -470,10 +422,9 @@ def derive_reconstruction(
         target_error = predict_mean_target_error(registration, ends)
     passed = tuple(
         replace(run, begin=run.begin - begin, end=run.end - begin)
-        for run in list_materials(found.brightness, float(along[-1]))
+        for run in list_materials(found.profile, float(along[-1]))
     )
-    notes = [*check_layers(scan, layers, points)]
-    one = Reconstruction(
+    return Reconstruction(
         scan=scan,
         spacing=grid.spacing,
         needle_axis=found.axis,
@@ -490,14 +441,11 @@ def derive_reconstruction(
         depth_sd=float(np.hypot(found.axis.tip_sd[0], pose.along_sd)),
         target_error=target_error,
         layers=layers,
-        profile=replace(found.brightness, s=found.brightness.s - begin),
+        profile=replace(found.profile, s=found.profile.s - begin),
         passed=passed,
         guide=found.guide and (found.guide[0] - begin, found.guide[1] - begin),
         confirmed=found.confirmed,
     )
-    picked = found.selection  # nothing to say where all other tubes are needles of their own
-    doubts = () if not picked or found.scan.divided == 1 + len(picked.others) else picked.warnings
-    return replace(one, warnings=(*collect_warnings(one, doubts), *notes))
 
 
 def picture_curve(volume: Volume, curve: Floats, entries: Floats) -> CurvePicture:
@@ -509,87 +457,80 @@ def picture_curve(volume: Volume, curve: Floats, entries: Floats) -> CurvePictur
     return CurvePicture(views, frame.to_local(curve), frame.to_local(entries)[:, 0])
 
 
-@one_thread
 def examine(
-    volume: Volume,
-    scan: Scan,
-    recipe: ReconstructionRecord,
-    search: VolumeSearch | None = None,
-    report: Callable[[str], None] = tell_nobody,
-) -> Examination:
-    """Return everything that the steps of a reconstruction find in a volume that was read, without views.
+    found: Examination, search: VolumeSearch, report: Callable[[str], None] = tell_nobody
+) -> Reconstruction:
+    """Reconstruct the needle of a scan in the volume that is searched; keep in `found` what the steps find.
 
-    `search`: of the volume, with what was found in it before. `report` is called with the names of `STAGES`.
+    `report` is called with the names of `STAGES`. DataError: whatever keeps a scan from being reconstructed.
     """
-    search, moved = search or VolumeSearch(volume, recipe), scan.corrections or Corrections()
-    volume, found = search.volume, Examination(scan, report=report)
-    control_points = [np.atleast_2d(places) for places in vars(moved).values() if places is not None]
-    with found.step(), located("corrections"):
-        require_inside(volume, np.vstack([np.empty((0, 3)), *control_points]), "control points")
-    with found.step():
-        require_hounsfield(volume, str(scan.volume))
-    with found.step("needle"):  # along points on it or a mask, else among the tubes of the volume
-        points = moved.axis
-        if points is None and scan.mask is not None:
-            listed = is_list_of_points(scan.mask)
-            points = read_markers(scan.mask) if listed else read_mask_points(scan.mask)
-        if points is None:
-            found.selection = select_needle(volume, recipe, scan.needle_at, search.tubes)
-        else:
-            axis = follow_points(volume, points, recipe)
-            found.selection = NeedleSelection(select_axis_voxels(volume, axis), axis=axis)
-    selection = found.selection
-    with found.step("markers"):
-        voxels = None if selection is None else selection.needle.voxels
-        placed, where = moved.balls, "balls of the corrections"
-        if placed is None and scan.fiducials is not None:
-            placed, where = read_markers(scan.fiducials), str(scan.fiducials)
-        if placed is not None:
-            balls = MarkerResult(np.empty((0, 3)), np.empty(0), "volume")
-            with suppress(DataError):  # landmarks, not metal
-                balls = find_markers(volume, recipe, voxels)
-            with located(where):
-                found.markers = refine_fiducials(placed, volume, recipe, balls)
-        elif scan.markers is not None:
-            found.markers = find_markers(volume, recipe, voxels)
-    with found.step("axis and tip"):
-        if selection is not None:
-            spread = None if found.markers is None else found.markers.spread
-            rough = selection.axis or follow_tube(volume, selection.needle, recipe)
-            found.selection = replace(selection, axis=rough)
-            found.needle_axis = trace_needle(volume, rough, recipe, spread, moved.tip)
-            refuse_fold(found.needle_axis.points)
-    with found.step():
-        if found.markers is not None and scan.markers is not None:
-            places, markers = read_markers(scan.markers), found.markers
-            try:
-                sd = recipe.markers.reference_sd_mm
-                found.registration = register(markers.centers, places, markers.sd, sd)
-            except DataError as error:
-                words = f"{error.what}; {markers.candidates}"
-                fix = f"{error.fix}; correct markers.diameter_mm, raise markers.max_misfit or place fiducials"
-                raise error.replace(what=words, fix=fix) from None
-    if found.needle_axis is not None:
-        needle = found.needle_axis.points
-        # over four stations: the last step alone is too noisy a direction
-        ahead, back = normalize(needle[-1] - needle[-5]), normalize(needle[0] - needle[4])
-        beyond = np.arange(MM.STATION, 2 * MM.BEYOND_END + 0.1, MM.STATION)[:, None] * ahead
-        # a guide of metal cuts the needle: it is looked for before what was traced
-        reach = recipe.guide.thickness_mm + 2 * MM.BEYOND_END if recipe.guide.thickness_mm else 0.0
-        before = np.arange(reach, 0.0, -MM.STATION)[:, None] * back
-        points = np.vstack([needle[0] + before, needle, needle[-1] + beyond])
-        found.profile = sample_profile(volume, points, arc_length(points) - reach)
-        tip, guide = float(arc_length(needle)[-1]), recipe.guide.thickness_mm
-        found.entry = choose_entry(found.profile, tip, guide, scan.guide_distance)
-    if found.error is not None:
-        return found
-    with found.step("tissue and layers"), located(scan.volume):
-        one = derive_reconstruction(found, recipe, volume.grid)
-        doubts = [*volume.warnings, *doubt_air(volume)]
-        if (top := volume.resampled_top) is not None:
-            doubts.append(
-                f"the scan was resampled after its values were cut at about {top:.0f} HU: tip and bevel are "
-                "less certain than in the scanner's own slices; export these"
-            )
-        found.reconstruction = replace(one, warnings=(*doubts, *one.warnings))
-    return found
+    volume, recipe, scan = search.volume, search.recipe, found.scan
+    moved = scan.corrections or Corrections()
+    require_hounsfield(volume, str(scan.volume))
+    report("needle")
+    by_hand = [name for name, places in vars(moved).items() if places is not None]
+    warnings = [f"corrected by hand: {', '.join(by_hand)}"] if by_hand else []
+    warnings += [*volume.warnings, *doubt_air(volume)]
+    if (top := volume.resampled_top) is not None:
+        warnings.append(
+            f"the scan was resampled after its values were cut at about {top:.0f} HU: tip and bevel are "
+            "less certain than in the scanner's own slices; export these"
+        )
+    points = moved.axis  # along these, or a mask, else among the tubes of the volume
+    if points is None and scan.mask is not None:
+        points = (read_markers if is_list_of_points(scan.mask) else read_mask_points)(scan.mask)
+    if points is None:
+        selection = select_needle(volume, recipe, scan.needle_at, search.tubes)
+        tube = selection.needle
+        found.curve = list_middles(tube)
+        rough = follow_tube(volume, tube, recipe)
+        if scan.divided != 1 + len(selection.others):  # all other tubes are needles of their own
+            warnings += selection.warnings
+    else:
+        rough = follow_points(volume, points, recipe)
+        tube = select_axis_voxels(volume, rough)
+    found.curve = rough.spline(np.arange(0.0, rough.length, MM.STATION))
+    report("markers")
+    if scan.markers is not None:
+        found.markers = _locate_markers(scan, volume, recipe, tube.voxels)
+    report("axis and tip")
+    spread = None if found.markers is None else found.markers.spread
+    found.axis = trace_needle(volume, rough, recipe, spread, moved.tip)
+    found.curve = found.axis.points
+    refuse_fold(found.curve)
+    found.profile = _sample_whole_profile(volume, found.curve, recipe)
+    tip, thickness = float(arc_length(found.curve)[-1]), recipe.guide.thickness_mm
+    found.entry = choose_entry(found.profile, tip, thickness, scan.guide_distance)
+    if scan.markers is not None and found.markers is not None:
+        stated, stated_sd = read_markers(scan.markers), recipe.markers.reference_sd_mm
+        found.registration = register(found.markers.centers, stated, found.markers.sd, stated_sd)
+    report("tissue and layers")
+    result = derive_reconstruction(found, recipe, volume.grid)
+    warnings += collect_warnings(result)
+    report("pictures")
+    views = render_views(volume, result.patient, result.frame, found.curve)
+    return replace(result, views=views, warnings=tuple(warnings))
+
+
+def _locate_markers(scan: Scan, volume: Volume, recipe: ReconstructionRecord, needle: Ints) -> MarkerResult:
+    """Return the markers of a scan, beside the voxels (N, 3) of its needle.
+
+    They are balls in the volume, or places given by hand, moved to the balls that they mark.
+    """
+    balls = find_markers(volume, recipe, needle)
+    placed = None if scan.corrections is None else scan.corrections.balls
+    if placed is None and scan.fiducials is not None:
+        placed = read_markers(scan.fiducials)
+    return balls if placed is None else refine_fiducials(placed, volume, recipe, balls)
+
+
+def _sample_whole_profile(volume: Volume, needle: Floats, recipe: ReconstructionRecord) -> IntensityProfile:
+    """Return the brightness along a needle (N, 3), LPS, mm, and beyond its ends, s from its first point."""
+    # over four stations: the last step alone is too noisy a direction
+    ahead, back = normalize(needle[-1] - needle[-5]), normalize(needle[0] - needle[4])
+    beyond = np.arange(MM.STATION, 2 * MM.BEYOND_END + 0.1, MM.STATION)[:, None] * ahead
+    # a guide of metal cuts the needle: it is looked for before what was traced
+    reach = recipe.guide.thickness_mm + 2 * MM.BEYOND_END if recipe.guide.thickness_mm else 0.0
+    before = np.arange(reach, 0.0, -MM.STATION)[:, None] * back
+    points = np.vstack([needle[0] + before, needle, needle[-1] + beyond])
+    return sample_profile(volume, points, arc_length(points) - reach)

@@ -26,7 +26,6 @@ class MarkerResult:
     centers: Floats  # (M, 3); LPS, mm
     sd: Floats  # (M,); deviation in any one direction, mm
     source: Literal["volume", "fiducials"]  # "volume", or "fiducials": placed by hand
-    candidates: str = ""  # what was seen where balls were looked for
     spread: PointSpread | None = None  # the scanner's, as the balls show it
 
 

@@ -210,6 +210,8 @@ class ScanRow(Record):
             raise ValueError(f"{', '.join(BEVEL_COLUMNS)} are all 0")
         if self.stage and np.linalg.norm(np.cross(direction, bevel)) < PARALLEL_SINE * np.linalg.norm(bevel):
             raise ValueError("the bevel is parallel to the entry direction")
+        if int(self.side) < 0 and not self.bevel:
+            raise ValueError("bevel_side is -1, but no bevel direction is stated")
         if self.layers_alternative and not self.layers:
             raise ValueError("layers_alternative is given without layers")
         if self.fiducials and not self.markers:

@@ -101,7 +101,8 @@ def _simulate_reconstruction(
     axis = _simulate_axis(insertion, placed.world, rng)
     nowhere = folder / f"{planned.id}.nrrd"
     scan = make_stated_scan(folder, planned, nowhere, nowhere)
-    examination = Examination(scan, None, axis, markers, registration, nothing)
+    examination = Examination(scan, markers, registration)
+    examination.axis, examination.profile = axis, nothing
     return derive_reconstruction(examination, RECIPE, placed.grid)
 
 

@@ -14,7 +14,7 @@ from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.errors import DataError
 from needlefit.imaging.bright_voxels import MAX_LISTED_VOXELS, list_bright_voxels
 from needlefit.imaging.constants import HU, MM, PART
-from needlefit.imaging.needle.axis_spline import FEWEST, AxisSpline
+from needlefit.imaging.needle.axis_spline import FEWEST
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -199,7 +199,6 @@ class NeedleSelection:
     needle: Component
     others: tuple[Component, ...] = ()
     warnings: tuple[str, ...] = ()
-    axis: AxisSpline | None = None  # rough, where a person placed points on the needle
 
 
 def select_needle(
