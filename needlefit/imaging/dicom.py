@@ -19,10 +19,11 @@ import SimpleITK as sitk
 from numpy.typing import NDArray
 from pydicom.errors import InvalidDicomError
 from pydicom.uid import UID
+from scipy.linalg import polar
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError, located
-from needlefit.imaging.volume import SPACINGS_MM, VoxelGrid, check_grid, orthogonalize
+from needlefit.imaging.volume import SPACINGS_MM, VoxelGrid, check_grid, check_size, fill_unknown
 from needlefit.imaging.volume_files import list_series_files
 from needlefit.project.folders import MAX_LISTED_FILES
 from needlefit.project.input_files import is_file, open_regular
@@ -51,18 +52,18 @@ EXPORT_FIX = (
     "export the series from the scanner again, as original axial slices in HU; or load it in 3D Slicer, and "
     "save the volume as NRRD, in HU (air -1000, water 0); a micro-CT scans air and water for this"
 )
-# size (bytes) of the header of the voxels' entry, where types are stated and where not
-ELEMENT_HEADER_BYTES = (12, 8)
 SLICE_BYTES_PER_PIXEL = 32  # memory (bytes) of a pixel of a slice: packed, unpacked, and in double precision
 SUFFIXES = (".dcm", ".ima", ".dicom")
-NEEDED_NUMBERS = {
+NUMBERS = {
+    "Rows": 1,
+    "Columns": 1,
     "ImagePositionPatient": 3,
     "ImageOrientationPatient": 6,
     "PixelSpacing": 2,
     "RescaleSlope": 1,
     "RescaleIntercept": 1,
 }  # entries that are numbers, and the count of each
-NUMBERS = {**NEEDED_NUMBERS, "PixelPaddingValue": 1}
+SHARED_NUMBERS = ("Rows", "Columns", "ImageOrientationPatient", "PixelSpacing")  # of all slices of a stack
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 
 
@@ -72,7 +73,7 @@ class DicomSlice:
 
     file: Path
     data: pydicom.Dataset
-    number: dict[str, Floats]  # the entries `NUMBERS` that it has
+    number: dict[str, Floats]  # the entries `NUMBERS`; NaN where it has none
 
     def text(self, name: str) -> str:
         """Return an entry as text; empty where the file has none."""
@@ -93,8 +94,8 @@ class DicomSlice:
 def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
     """Read the one series that `path` refers to: add "values" and "grid" to the arrays; return warnings.
 
-    Values are rescaled slice by slice; voxels that were not measured (padding) get the least value that
-    was, so that no threshold and no edge finds them. Localizers are left out.
+    Values are rescaled slice by slice; voxels that were not measured (padding) get that of air. Localizers
+    are left out.
 
     DataError if the series is not one sound stack, or a voxel cannot be read.
     """
@@ -106,16 +107,8 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
     arrays |= grid.placing
     for item, plane in zip(slices, values, strict=True):
         plane[...] = _read_plane(item)
-    least = np.fmin.reduce(values, axis=None)
-    if np.isnan(least):
-        raise DataError(
-            "holds nothing but padding",
-            expected="measured values; padding is what PixelPaddingValue states",
-            fix="check PixelPaddingValue, or export the series again",
-            where=slices[0].file.parent,
-        )
-    for plane in values:
-        plane[np.isnan(plane)] = least
+    with located(path):
+        fill_unknown(values, labels=False)
     localizers = len(images) - len(slices)
     notes = [f"{localizers} localizer(s) were left out"] * (localizers > 0)
     return notes + [UNSPECIFIED_UNIT] * any(item.text("RescaleType").upper() == "US" for item in slices)
@@ -124,40 +117,24 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
 def read_header(file: Path) -> DicomSlice | None:
     """Return the header of the image in a file; None if it is no DICOM image but, say, a report or a text.
 
-    DataError if it is named as a DICOM file and is none, or is cut short.
+    DataError if it is named as a DICOM file and is none, or its header is cut short.
     """
     try:
         with open_regular(file, sys.maxsize) as content, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what pydicom doubts and we use is checked here
             data = pydicom.dcmread(content, stop_before_pixels=True)
-            stated = UID(str(data.file_meta.get("MediaStorageSOPClassUID") or data.get("SOPClassUID") or ""))
+            stated = UID(str(data.file_meta.get("MediaStorageSOPClassUID", "")))
             if stated.name != stated and "Image Storage" not in stated.name:
                 return None
-            stored = file.stat().st_size - content.tell()
-            header = ELEMENT_HEADER_BYTES[bool(data.original_encoding[0])]
-            needed = header + data.get("BitsAllocated", 16) * data.Rows * data.Columns // 8
-            syntax = UID(str(data.file_meta.get("TransferSyntaxUID") or ""))
-            if stored <= header or (not syntax.is_compressed and stored < needed):
-                raise EOFError  # voxels that are not there would be read as others
-            number = {
-                name: np.array(value, dtype=np.float64).ravel()
-                for name in NUMBERS
-                if (value := data.get(name)) not in (None, "")
-            }
+            if not content.read(1):
+                raise EOFError  # of a header that is cut short, the rest would be taken for another series
+            number = {name: np.array(data.get(name), np.float64).ravel() for name in NUMBERS}
     except (DataError, MemoryError):
         raise
     except Exception as error:  # pydicom raises what the bytes provoke
         if isinstance(error, InvalidDicomError) and file.suffix.lower() not in SUFFIXES:
             return None
         raise _damaged(file) from error
-    for name, array in number.items():
-        if len(array) != NUMBERS[name] or not are_bounded(array):
-            raise DataError(
-                f"{name} is {array.tolist()}",
-                expected=f"{NUMBERS[name]} finite number(s), as the DICOM standard asks for",
-                fix=EXPORT_FIX,
-                where=file,
-            )
     return DicomSlice(file, data, number)
 
 
@@ -193,20 +170,17 @@ def find_series(path: Path, series: str | None) -> list[DicomSlice]:
         if item is not None:
             groups.setdefault(item.series, []).append(item)
     if named is not None:
-        return groups[named.series]
-    if series is not None:
+        series = named.series
+    if series is None:  # stacks of slices made with X-rays, if there are any
+        chosen = [*filter(_is_stack, groups.values())] or [*groups.values()]
+    else:
         meant = series.strip()
         chosen = [group for uid, group in groups.items() if meant in (uid, group[0].text("SeriesNumber"))]
-    else:  # stacks of slices made with X-rays, if there are any
-        chosen = [*groups.values()]
-        for wanted in (_is_stack, lambda slices: slices[0].text("Modality").upper() in XRAY_MODALITIES):
-            chosen = [*filter(wanted, chosen)] or chosen
     if len(chosen) == 1:
         return chosen[0]
-    listed = "; ".join(_describe(group, path) for group in [*(chosen or groups.values())][:MAX_LISTED_FILES])
-    called = f" {series}" if series else ""
+    listed = map(_describe, [*(chosen or groups.values())][:MAX_LISTED_FILES])
     raise DataError(
-        f"holds {len(chosen) or 'no'} series{called} of DICOM images{listed and f': {listed}'}",
+        f"holds {len(chosen) or 'no'} series {series or ''} of DICOM images; {'; '.join(listed)}",
         expected="one series, in the folder or below it, or the name of the one that is meant",
         fix="name the folder in which the slices lie, or the .nrrd or .nii.gz file itself; of several series "
         "give the number or the UID with --series, or under `series` in a table of scans",
@@ -215,18 +189,20 @@ def find_series(path: Path, series: str | None) -> list[DicomSlice]:
 
 
 def _is_stack(slices: Sequence[DicomSlice]) -> bool:
-    """Whether a series is a stack, not an overview, a single image or pictures of a report."""
-    placed = [item for item in slices if "ImagePositionPatient" in item.number and not item.is_localizer]
-    return len(placed) > 1 or "NumberOfFrames" in slices[0].data
+    """Whether a series is a stack made with X-rays, not an overview, one image or pictures of a report."""
+    placed = [
+        item for item in slices if len(item.number["ImagePositionPatient"]) == 3 and not item.is_localizer
+    ]
+    is_stack = len(placed) > 1 or "NumberOfFrames" in slices[0].data
+    return is_stack and slices[0].text("Modality").upper() in XRAY_MODALITIES
 
 
-def _describe(slices: Sequence[DicomSlice], path: Path) -> str:
-    """Return a series in words: one in a subfolder with its name."""
-    item, folder = slices[0], slices[0].file.parent
-    inside = "" if folder == path else f" in {folder.relative_to(path)}/"
-    kind = f"{item.text('Modality') or 'no modality'}, {len(slices)} images{inside}"
+def _describe(slices: Sequence[DicomSlice]) -> str:
+    """Return a series in words."""
+    item = slices[0]
     called = f"number {item.text('SeriesNumber') or 'none'} {item.text('SeriesDescription')!r}"
-    return f"{called} ({kind}), UID {item.series}"
+    kind = f"({item.text('Modality') or 'no modality'}, {len(slices)} images)"
+    return f"{called} {kind} in {item.file.parent}/, UID {item.series}"
 
 
 def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelGrid]:
@@ -243,30 +219,15 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
             expected = "plain slices of one CT volume in HU, with their places in the patient"
             raise DataError(problem, expected=expected, fix=EXPORT_FIX, where=item.file)
     with located(first.file.parent):
-        if len(slices) < 2:
-            raise DataError(
-                "holds one slice",
-                expected="a stack of slices",
-                fix="copy all files of the series into the folder",
-            )
+        size = (int(first.data.Columns), int(first.data.Rows), len(slices))
+        check_size(size)
         axes = first.number["ImageOrientationPatient"].reshape(2, 3)
-        direction = orthogonalize(np.vstack([axes, np.cross(*axes)]).T)
-        positions = np.array([item.number["ImagePositionPatient"] for item in slices])  # (K, 3)
-        order = np.argsort(positions @ direction[:, 2], kind="stable")
-        ordered = [slices[index] for index in order]
-        origin, step = _fit_steps(ordered, positions[order], direction[:, 2])
-        spacing = float(np.linalg.norm(step))
-        upright = step / spacing
-        lean = float(np.linalg.norm(np.cross(upright, direction[:, 2])))
-        if lean <= MAX_LEAN:  # axes that were rounded are turned upright on the stack
-            direction = orthogonalize(
-                np.column_stack([direction[:, :2] - np.outer(upright, upright @ direction[:, :2]), upright])
-            )
-        elif lean * spacing * len(slices) > MAX_OFFSET_MM:
-            direction = np.column_stack([direction[:, :2], upright])
+        normal = np.cross(*axes)
+        ordered = sorted(slices, key=lambda item: float(item.number["ImagePositionPatient"] @ normal))
+        origin, step = _fit_steps(ordered, normal)
         # PixelSpacing is row spacing (y), then column spacing (x); the grid is x, y, z
-        steps = np.array([*first.number["PixelSpacing"][::-1], spacing])
-        size = (int(first.data.Columns), int(first.data.Rows), len(ordered))
+        steps = np.array([*first.number["PixelSpacing"][::-1], np.linalg.norm(step)])
+        direction = np.column_stack([polar(axes.T)[0], step / steps[2]])
         grid = VoxelGrid(size, origin, steps, direction)
         check_grid(grid)
     return ordered, grid
@@ -280,44 +241,43 @@ def _list_faults(item: DicomSlice, first: DicomSlice) -> Iterator[str]:
             yield f"its {name} is {text[:40]}"
     if item.is_localizer:
         yield "is a localizer (scout, topogram), no slice"
-    if missing := [name for name in NEEDED_NUMBERS if name not in number]:
-        yield f"has no {', '.join(missing)}"
+    for name, count in NUMBERS.items():
+        if len(number[name]) != count or not are_bounded(number[name]):
+            yield f"its {name} is {item.text(name)[:40] or 'not stated'}, no {count} finite number(s)"
     axes = number["ImageOrientationPatient"].reshape(2, 3)
     if not (np.abs(axes @ axes.T - np.eye(2)) <= 2 * MAX_LEAN).all():
         yield f"ImageOrientationPatient is {axes.round(4).tolist()}, no two perpendicular unit vectors"
-    if number["RescaleSlope"] == 0:
-        yield "its RescaleSlope is 0"
-    for name in ("Rows", "Columns", "FrameOfReferenceUID"):
-        if (here := item.text(name)) != (there := first.text(name)):
-            yield f"its {name} is {here}, that of {first.file.name} is {there}"
-    for name in ("PixelSpacing", "ImageOrientationPatient"):
+    if item.text("FrameOfReferenceUID") != first.text("FrameOfReferenceUID"):
+        yield f"its FrameOfReferenceUID is not that of {first.file.name}"
+    for name in SHARED_NUMBERS:
         if not np.allclose(number[name], first.number[name], 0, MAX_LEAN):
             yield f"its {name} is {number[name]}, that of {first.file.name} is {first.number[name]}"
 
 
-def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats) -> tuple[Floats, Floats]:
+def _fit_steps(ordered: Sequence[DicomSlice], normal: Floats) -> tuple[Floats, Floats]:
     """Return the place of the first slice and the step from slice to slice, (3,) each, mm.
 
-    By least squares: rounding of single positions must not add up over the stack. `positions` (K, 3) are in
-    their order along the `normal`.
+    By least squares: rounding of single positions must not add up over the stack. Slices are in their order
+    along the `normal` (3,).
+
+    DataError if a slice is missing, stands twice, or lies elsewhere.
     """
+    positions = np.array([item.number["ImagePositionPatient"] for item in ordered])  # (K, 3)
     count, rises = np.arange(len(ordered)), np.diff(positions, axis=0)
-    steps = rises @ normal
     step, origin = np.polyfit(count, positions, 1)
-    away = np.linalg.norm(origin + np.outer(count, step) - positions, axis=1)
-    lengths = np.column_stack([steps, np.linalg.norm(rises - np.outer(steps, normal), axis=1)])
-    is_apart = steps >= SPACINGS_MM[0]  # of several slices at each place most steps are 0
-    usual = np.median(lengths[is_apart] if is_apart.any() else lengths, axis=0)
-    is_one = is_apart & (np.rint(steps / usual[0]) == 1)  # a missing slice makes a step of two
-    if is_one.all() and away.max() <= MAX_OFFSET_MM:
+    away = np.linalg.norm(origin + np.outer(count, step) - positions, axis=1).max()
+    # where one slice is missing, or stands twice, one is away by more than a fifth of the step
+    if away < min(MAX_OFFSET_MM, np.linalg.norm(step) / 5):
         return origin, step
-    odd = (np.abs(lengths - usual) > MAX_OFFSET_MM).any(axis=1) | ~is_one
-    n = int((odd if odd.any() else away[1:]).argmax())
-    (behind, beside), (step_mm, lean_mm) = lengths[n], usual
+    along = rises @ normal
+    is_apart = along >= SPACINGS_MM[0]  # of several slices at each place most steps are 0
+    usual = np.median(rises[is_apart] if is_apart.any() else rises, axis=0)
+    n = int(np.linalg.norm(rises - usual, axis=1).round(3).argmax())
+    beside = np.linalg.norm(rises[n] - along[n] * normal)
     raise DataError(
-        f"{ordered[n + 1].file.name} stands {behind:.4g} mm behind {ordered[n].file.name} and "
-        f"{beside:.3g} mm beside it, where {step_mm:.4g} and {lean_mm:.3g} mm are usual; {odd.sum()} of "
-        f"{len(odd)} steps differ, and one slice stands {away.max():.3g} mm from its place in an even stack",
+        f"{ordered[n + 1].file.name} stands {along[n]:.4g} mm behind {ordered[n].file.name} and {beside:.3g} "
+        f"mm beside it, where {usual @ normal:.4g} mm behind is usual; one slice stands {away:.3g} mm from "
+        "its place in an even stack",
         expected=f"an even stack, to {MAX_OFFSET_MM:g} mm, one slice at each place, straight above each "
         "other or all leaning alike",
         fix="copy missing files; move copies and other scans (phases, kernels) to other folders; "
@@ -328,16 +288,14 @@ def _fit_steps(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats)
 
 def _read_plane(item: DicomSlice) -> NDArray[np.float64]:
     """Return the rescaled values (rows, columns) of a slice; nan where nothing was measured."""
-    reader = sitk.ImageFileReader()
-    reader.SetImageIO("GDCMImageIO")
-    reader.SetFileName(str(item.file))
     try:
-        plane = sitk.GetArrayFromImage(reader.Execute()).astype(np.float64)[0]
+        image = sitk.ReadImage(str(item.file), imageIO="GDCMImageIO")
     except RuntimeError as error:
-        syntax = UID(str(item.data.file_meta.get("TransferSyntaxUID") or ""))
+        syntax = UID(str(item.data.file_meta.get("TransferSyntaxUID")))
         raise _damaged(item.file, f"; its voxels are packed as {syntax.name}") from error
-    if (low := item.number.get("PixelPaddingValue")) is not None:
+    plane = sitk.GetArrayFromImage(image)[0].astype(np.float64)
+    if (padding := item.data.get("PixelPaddingValue")) is not None:
         # padding is given in stored values, before the rescaling; some scanners write -2000 as 63536
         stored = np.rint((plane - item.number["RescaleIntercept"]) / item.number["RescaleSlope"])
-        plane[(stored - low) % 2**16 == 0] = np.nan
+        plane[(stored - padding) % 2**16 == 0] = np.nan
     return plane

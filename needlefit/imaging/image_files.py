@@ -18,14 +18,7 @@ from numpy.typing import NDArray
 
 from needlefit.errors import DataError, located
 from needlefit.geometry.frames import RAS_TO_LPS
-from needlefit.imaging.volume import (
-    READABLE_VOLUMES,
-    VoxelGrid,
-    check_grid,
-    fill_unknown,
-    is_tilted,
-    orthogonalize,
-)
+from needlefit.imaging.volume import READABLE_VOLUMES, VoxelGrid, check_grid, fill_unknown, is_tilted
 from needlefit.imaging.volume_files import MAX_HEADER_BYTES, list_series_files
 from needlefit.project.reader_process import Arrays, Planes, allow_memory
 
@@ -63,9 +56,9 @@ def read_image(arrays: Arrays, path: str, labels: bool = False) -> dict[str, Any
                 "of segments that overlap: set Modify other segments to Overwrite all in the Segment Editor, "
                 "and save again",
             ) from error
-        notes = fill_unknown(values, grid, labels=labels)
+        notes = fill_unknown(values, labels=labels)
         arrays["values"] = values.view(Planes)
-        arrays |= grid.placing | {"direction": orthogonalize(grid.direction)}
+        arrays |= grid.placing
         return {"texts": texts, "warnings": notes}
 
 
@@ -144,7 +137,7 @@ def _open_itk(file: Path) -> Image:
 def _check_header(file: Path, total_bytes: int) -> None:
     """Refuse a header that leaves out what SimpleITK would make up: a spacing, and where voxels begin.
 
-    `total_bytes`: of all voxels, where they are not packed.
+    `total_bytes`: of all voxels.
     """
     with file.open("rb") as content:
         header = content.read(MAX_HEADER_BYTES)
@@ -155,15 +148,12 @@ def _check_header(file: Path, total_bytes: int) -> None:
             expected="`ElementSpacing = ` and three numbers, mm, in the header",
             fix="export the scan again, or add them",
         )
-    packed = rb"CompressedData\s*=\s*T|BinaryData\s*=\s*F|encoding:(?!\s*raw)"  # or text
-    if re.search(rb"(?im)^(HeaderSize|(byte|line) ?skip|" + packed + rb")", header):
-        return
     for data in list_series_files(file)[1:]:
         if (size := data.stat().st_size) > total_bytes:
             raise DataError(
                 f"{data.name} has {size} bytes, its voxels {total_bytes}",
                 expected="a file of voxels alone",
-                fix="state what stands before them in the header (HeaderSize, byte skip), or export it again",
+                fix="save the scan as one file: .nrrd or .mha",
             )
 
 
@@ -175,5 +165,5 @@ def _check_voxels(shape: Sequence[int], are_numbers: bool) -> None:
 
 def _last_line(error: Exception) -> str:
     """Return the last line of an error, which names the cause, without addresses of memory."""
-    lines = [line for line in str(error).strip().splitlines() if not line.startswith("Reason: ")]  # of errno
-    return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", [*lines, "cut short"][max(len(lines) - 1, 0)])[:200]
+    lines = re.findall(r"^(?!Reason: ).+", str(error), re.MULTILINE) or ["cut short"]  # a reason is errno's
+    return re.sub(r"\w+\(0x[0-9a-f]+\): ", "", lines[-1])[:200]

@@ -40,7 +40,6 @@ from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.segmentations import Labels, read_labels
 from needlefit.imaging.volume import VoxelGrid, to_index, to_patient
-from needlefit.imaging.volume_files import explain_missing_packages
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 SMOOTHING_SD_MM = 0.6  # SD of the smoothing (mm); one voxel where voxels are larger
@@ -162,8 +161,7 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
         )
     elif segmented is not None:
         try:
-            with explain_missing_packages():
-                surfaces += extract_label_surfaces(segmented.path, segmented.segments)
+            surfaces += extract_label_surfaces(segmented.path, segmented.segments)
         except DataError as error:
             faults.append(error)
     else:

@@ -10,12 +10,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import polar
 from scipy.ndimage import map_coordinates
 
 from needlefit.arrays import Floats, Ints, are_bounded
 from needlefit.errors import DataError, NeedlefitError
-from needlefit.geometry.frames import to_unit
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.constants import HU, PART
 from needlefit.project.input_files import open_regular
@@ -83,9 +81,9 @@ def check_grid(grid: VoxelGrid) -> None:
     off = np.abs(grid.direction.T @ grid.direction - np.eye(3))
     lean, off[:2, 2], off[2, :2] = np.hypot(*off[:2, 2]), 0.0, 0.0
     if off.max() > AXES_COSINE_TOLERANCE or lean > np.sin(np.radians(MAX_TILT_DEG)):
-        rows = [[round(float(value), 4) + 0.0 for value in row] for row in grid.direction.T]
         raise DataError(
-            f"the axes of the voxels are not perpendicular unit vectors: {rows}",
+            "the axes of the voxels are not perpendicular unit vectors: "
+            f"{grid.direction.T.round(4).tolist()}",
             expected=(
                 f"rows and columns at right angles, slices that lean by at most {MAX_TILT_DEG:g} degrees"
             ),
@@ -98,43 +96,33 @@ def is_tilted(direction: Floats) -> bool:
     return bool((np.abs(direction[:, :2].T @ direction[:, 2]) > AXES_COSINE_TOLERANCE).any())
 
 
-def fill_unknown(values: NDArray[Any], grid: VoxelGrid, *, labels: bool) -> list[str]:
+def fill_unknown(values: NDArray[Any], *, labels: bool) -> list[str]:
     """Give voxels without a value (NaN) that of air, or of `labels` 0; return a note of how many, and where.
 
     DataError if no voxel has a value, or one is infinite.
     """
     if np.isfinite([values.min(), values.max()]).all():
         return []
-    unknown = np.isnan(values)
-    infinite = ~np.isfinite(values) & ~unknown
-    wrong = infinite if infinite.any() else unknown
-    count, first = np.count_nonzero(wrong), np.unravel_index(int(wrong.argmax()), values.shape)[::-1]
-    place = ", ".join(f"{x:.1f}" for x in to_patient(grid, [first])[0])
-    kind = "an infinite value" if infinite.any() else "no value (NaN)"
-    seen = (
-        f"{count} of {values.size} voxels ({100 * count / values.size:.2g} %) have {kind}, the first at "
-        f"i, j, k = {', '.join(map(str, first))} (L, P, S = {place} mm)"
-    )
-    if infinite.any() or unknown.all():
+    low, high = (float(end.reduce(values, axis=None)) for end in (np.fmin, np.fmax))
+    if not np.isfinite([low, high]).all():
         raise DataError(
-            seen,
+            f"its values are {low:g} to {high:g}",
             expected="a number in every voxel",
             fix="give voxels outside the scan the value of air, e.g. -1000",
         )
+    first = np.unravel_index(int(values.argmax()), values.shape)[::-1]  # NaN counts as the largest
     # values that are nowhere below 0 are no HU, nor is then -1000
-    low = float(np.nanmin(values))
     filled = 0.0 if labels else min(HU.AIR if low < 0 else np.inf, low)
-    values[unknown] = filled
-    return [f"{seen}: they were taken for {'no label' if labels else f'air, {filled:g} HU'}"]
-
-
-def orthogonalize(direction: Floats) -> Floats:
-    """Return exactly perpendicular axes (3, 3), the nearest to `direction` (3, 3); k leans on if it leant."""
-    if is_tilted(direction):
-        normal = np.cross(direction[:, 0], direction[:, 1])
-        axes = orthogonalize(np.column_stack([direction[:, :2], to_unit(normal)]))
-        return np.column_stack([axes[:, :2], to_unit(direction[:, 2])])
-    return polar(direction)[0]
+    count = 0
+    for plane in values:  # a mask of all voxels takes a quarter of their memory
+        unknown = np.isnan(plane)
+        plane[unknown] = filled
+        count += int(np.count_nonzero(unknown))
+    return [
+        f"{count} of {values.size} voxels ({100 * count / values.size:.2g} %) have no value (NaN), the first "
+        f"at i, j, k = {', '.join(map(str, first))}: they were taken for "
+        f"{'no label' if labels else f'air, {filled:g} HU'}"
+    ]
 
 
 def max_voxels() -> int:
@@ -192,11 +180,7 @@ class Volume:
     warnings: tuple[str, ...] = ()  # what a person should know of its files
 
     def __post_init__(self) -> None:
-        """Refuse what no file could hold."""
-        if self.values.ndim != 3:
-            raise DataError(
-                f"the values of a volume have {self.values.ndim} axes", expected="slices, rows, columns"
-            )
+        """Refuse what is no scan."""
         check_grid(self.grid)
 
     @property
@@ -229,7 +213,7 @@ class Volume:
         top = float(self.values.max())
         if not PART.BRIGHTEST <= top / HU.CLIPPED <= 1 / PART.BRIGHTEST:
             return None
-        bright = np.concatenate([plane[plane > PART.BRIGHTEST * top] for plane in self.values])
+        bright = self._bright.values[self._bright.values > PART.BRIGHTEST * top]
         shared = np.count_nonzero(bright == top)  # most of them, where the scanner has cut them
         return top if len(bright) > MAX_EQUAL and 2 * shared < len(bright) else None
 
@@ -284,7 +268,7 @@ def find_cuts(values: Floats) -> tuple[float, float]:
 
 
 def measure_face_distance(volume: Volume, points: Floats) -> Floats:
-    """Return how far the nearest face of the volume is from LPS points (N, 3), mm; (N,)."""
+    """Return how far inside the nearest face of the volume LPS points (N, 3) lie, mm; (N,)."""
     index, last = to_index(volume, points), np.array(volume.grid.size) - 1
     return (np.minimum(index, last - index) * volume.spacing).min(axis=1)
 
@@ -294,8 +278,7 @@ def require_inside(volume: Volume, points: Floats, kind: str) -> None:
 
     Raises DataError, which names them by their `kind`.
     """
-    index, last = to_index(volume, points), np.array(volume.grid.size) - 1
-    outside = points[((index < -1) | (index > last + 1)).any(axis=1)]
+    outside = points[measure_face_distance(volume, points) < -volume.spacing.max()]
     if len(outside):
         place = ", ".join(f"{x:.1f}" for x in outside[0])
         raise DataError(
@@ -316,10 +299,9 @@ def explain_refusal(error: NeedlefitError, volume: Volume) -> NeedlefitError:
         for lengths in (volume.grid.size * volume.spacing, volume.spacing)
     )
     low, high = float(volume.values.min()), float(volume.values.max())
-    median_of = "what is denser than foam" if volume.tissue > HU.LIGHT else "all voxels"
     return error.replace(
         what=f"{''.join(doubts)}{error.what}; the scan is {size} mm large, its voxels {steps} mm; its "
-        f"values are {low:.5g} to {high:.5g}, the median of {median_of} {volume.tissue:.0f}"
+        f"values are {low:.5g} to {high:.5g}"
     )
 
 

@@ -23,7 +23,7 @@ from needlefit.project.folders import MAX_LISTED_FILES
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular, path_exists
 from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process
 
-CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
+CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel", "skimage")
 DETACHED_SUFFIXES = (".nhdr", ".mhd")
 DATA_FILE = re.compile(rb"^(?:data ?file|ElementDataFile)\s*[:=]\s*(.*\S)", re.IGNORECASE | re.MULTILINE)
 MAX_HEADER_BYTES = 2**16  # largest size (bytes) of a header that names a file of data
@@ -35,7 +35,7 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
 
     `path`: a folder with a DICOM series in it or below, one file of the series, an NRRD, NIfTI or MetaImage
     file, or a .zip of any of these.
-    `series`: number or UID of the DICOM series, where a folder holds several.
+    `series`: number or UID of the DICOM series, where a folder holds several; an image file has none.
 
     DataError if there is no such volume, or its geometry cannot be trusted; nothing is guessed. ConfigError
     if the packages that read scans are not installed.
@@ -44,11 +44,9 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
     if not path_exists(path):
         problem = "there is no such file or folder"
         raise DataError(problem, expected=READABLE_VOLUMES, fix="check the path", where=path)
-    with explain_missing_packages(*CT_PACKAGES), open_member(path, series) as place:
+    require_packages()
+    with open_member(path, series) as place:
         if is_image_file(place):
-            if series:
-                fix = "leave out series"
-                raise DataError("it is one image", expected="a DICOM series", fix=fix, where=path)
             return read_image_file(place)[0]
         arguments = {"path": str(place), "series": series}
         reader = "needlefit.imaging.dicom:read_series"
@@ -143,27 +141,20 @@ def read_image_file(path: Path, labels: bool = False) -> tuple[Volume, dict[str,
 
     DataError and ConfigError as `read_volume`.
     """
-    with open_regular(path, sys.maxsize), explain_missing_packages(*CT_PACKAGES):  # no device or pipe
+    require_packages()
+    with open_regular(path, sys.maxsize):  # no device or pipe
         arguments = {"path": str(path), "labels": labels}
         reader = "needlefit.imaging.image_files:read_image"
         header, arrays = read_in_process(reader, path, arguments, seconds=READ_SECONDS)
         return Volume(**arrays, warnings=tuple(header["warnings"])), header["texts"]
 
 
-@contextmanager
-def explain_missing_packages(*needed: str) -> Iterator[None]:
-    """Replace the error of a missing package by one that says how to install it.
-
-    `needed`: packages that must be there, before a process is started for what uses them.
-    """
-    try:
-        for name in needed:
-            if find_spec(name) is None:
-                raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-        yield
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            f"scans need the package {error.name}, which is not installed",
-            expected="the packages of the extra `ct`",
-            fix="pip install 'needlefit[ct]'",
-        ) from None
+def require_packages() -> None:
+    """Raise ConfigError if a package that reads scans, or finds layers in them, is not installed."""
+    for name in CT_PACKAGES:
+        if find_spec(name) is None:
+            raise ConfigError(
+                f"scans need the package {name}, which is not installed",
+                expected="the packages of the extra `ct`",
+                fix="pip install 'needlefit[ct]'",
+            )
