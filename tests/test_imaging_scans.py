@@ -83,14 +83,12 @@ def test_every_column_comes_through_and_has_a_default(folder):
         ("scan,surfaces_in", "one.nrrd,room", "surfaces_in is 'room'"),
         ("scan,origin", "one.nrrd,guessed", "origin is 'guessed'"),
         ("scan,layers", "one.nrrd,two", "layers is 'two'"),
-        ("scan,layers_alternative", "one.nrrd,2", "layers_alternative"),
         ("scan,bevel_side", "one.nrrd,-1", "no bevel direction"),
         ("scan,bevel_side", "one.nrrd,2", "bevel_side is '2'"),
         ("scan,bevel_x", "one.nrrd,1", "bevel_y is empty"),
         ("scan,guide_distance_mm", "one.nrrd,-3", "guide_distance_mm is '-3'"),
         ("scan,entry_x_mm,entry_y_mm", "one.nrrd,1,2", "entry_z_mm is empty"),
         (f"scan,{STAGE}", "one.nrrd,1,2,3,0,0,2,0.1,1", "entry direction has length 2"),
-        (f"scan,{STAGE},bevel_x,bevel_y,bevel_z", "one.nrrd,1,2,3,0,0,1,0.1,1,0,0,-2", "bevel is parallel"),
     ],
 )
 def test_a_wrong_cell_is_named_with_its_line(folder, columns, cells, words):

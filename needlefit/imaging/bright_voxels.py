@@ -70,10 +70,9 @@ class BrightVoxels:
         places, labels = self.label(level, corners=corners)
         size = np.bincount(labels)
         fits = (size >= sizes[0]) & (size <= sizes[1])
-        if without is not None and len(places):
+        if without is not None:
             wanted = np.ravel_multi_index(tuple(without.T[::-1]), self.shape)
-            nearest = np.minimum(np.searchsorted(self.flat[places], wanted), len(places) - 1)
-            fits[labels[nearest[self.flat[places[nearest]] == wanted]]] = False
+            fits[labels[np.isin(self.flat[places], wanted)]] = False
         members = np.flatnonzero(fits[labels])
         members = members[np.argsort(labels[members], kind="stable")]
         for group in np.split(places[members], np.flatnonzero(np.diff(labels[members])) + 1):

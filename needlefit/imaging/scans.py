@@ -34,7 +34,7 @@ from needlefit.datasets.faults import Fault, as_error, note_fault
 from needlefit.datasets.formats.csv import list_columns, read_table
 from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
 from needlefit.errors import DataError
-from needlefit.geometry.frames import PARALLEL_SINE, normalize
+from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import SurfaceKind
 from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES
 from needlefit.project.input_files import is_file, path_exists
@@ -130,8 +130,8 @@ class Scan:
     @property
     def files(self) -> tuple[Path, ...]:
         """All files and DICOM folders that are read for it."""
-        others = (self.mask, self.markers, self.fiducials, *(source.path for source in self.surfaces))
-        return (self.volume, *(path for path in others if path is not None))
+        layers = (source.path for source in self.surfaces)
+        return tuple(filter(None, (self.volume, self.mask, self.markers, self.fiducials, *layers)))
 
 
 STAGE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg")
@@ -145,9 +145,13 @@ FILES = ("mask", "markers", "fiducials")
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 SEGMENTATION_SUFFIXES = (*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)
 SCAN_TABLE_FIX = "write a table of scans, with a column for it"
-_LAYER_PATTERN = re.compile(
-    r"(?P<file>.+?)(=(?P<kind>sheet|solid):(?P<into>[1-9]\d{0,2})|=segments:(?P<names>[^=]+))?",
-    re.DOTALL,
+_MESH = re.compile(
+    rf"(.+({'|'.join(map(re.escape, MESH_SUFFIXES))}))\s*(=(?P<kind>sheet|solid):(?P<into>[1-9]\d{{0,2}}))?",
+    re.IGNORECASE,
+)
+_SEGMENTATION = re.compile(
+    rf"(.+({'|'.join(map(re.escape, SEGMENTATION_SUFFIXES))}))\s*(=segments:(?P<names>[^=]+))?",
+    re.IGNORECASE,
 )
 
 
@@ -203,17 +207,12 @@ class ScanRow(Record):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        direction, bevel = np.array((self.stage or (1, 0, 0) * 2)[3:6]), np.array(self.bevel or (0, 1, 0))
-        if abs(length := np.linalg.norm(direction) - 1) > UNIT_VECTOR_TOLERANCE:
-            raise ValueError(f"entry direction has length {1 + length:.4g}, not 1")
-        if not bevel.any():
+        if self.stage and abs((length := math.hypot(*self.stage[3:6])) - 1) > UNIT_VECTOR_TOLERANCE:
+            raise ValueError(f"entry direction has length {length:.4g}, not 1")
+        if self.bevel and not any(self.bevel):
             raise ValueError(f"{', '.join(BEVEL_COLUMNS)} are all 0")
-        if self.stage and np.linalg.norm(np.cross(direction, bevel)) < PARALLEL_SINE * np.linalg.norm(bevel):
-            raise ValueError("the bevel is parallel to the entry direction")
         if int(self.side) < 0 and not self.bevel:
             raise ValueError("bevel_side is -1, but no bevel direction is stated")
-        if self.layers_alternative and not self.layers:
-            raise ValueError("layers_alternative is given without layers")
         if self.fiducials and not self.markers:
             raise ValueError("fiducials are given without markers, on whose known places they are laid")
         return self
@@ -228,25 +227,19 @@ def parse_layer_source(text: str, folder: Path) -> LayerSource:
 
     ValueError if it is none.
     """
-    stated = _LAYER_PATTERN.fullmatch(text)
-    assert stated is not None  # a file's name may be anything
-    path = folder / stated["file"].strip()
-    if not is_file(path):
+    mesh, segmentation = _MESH.fullmatch(text), _SEGMENTATION.fullmatch(text)
+    stated = mesh or segmentation
+    if stated is None or not is_file(path := folder / stated[1]):
         raise ValueError(
-            f"FILE, FILE=sheet:2, FILE=solid:3 or FILE=segments:NAME,NAME; there is no file {path}"
+            f"FILE, FILE=sheet:2 or FILE=solid:3 of a mesh ({', '.join(MESH_SUFFIXES)}), or FILE or "
+            f"FILE=segments:NAME,NAME of a segmentation ({', '.join(SEGMENTATION_SUFFIXES)}); there is no "
+            f"such file {folder / text}"
         )
-    is_mesh = path.suffix.lower() in MESH_SUFFIXES
-    is_segmentation = path.name.lower().endswith(SEGMENTATION_SUFFIXES)
-    if not (is_mesh or is_segmentation) or stated["names" if is_mesh else "kind"]:
-        raise ValueError(
-            f"{path.name} as a mesh ({', '.join(MESH_SUFFIXES)}), with or without =sheet:2, or as a "
-            f"segmentation ({', '.join(SEGMENTATION_SUFFIXES)}), with or without =segments:NAME,NAME"
-        )
-    names = tuple(name for part in (stated["names"] or "").split(",") if (name := part.strip()))
-    kind: SurfaceKind = "sheet" if stated["kind"] == "sheet" else "solid"
-    return (
-        LayerSource(path, kind, int(stated["into"])) if stated["kind"] else LayerSource(path, segments=names)
-    )
+    if stated is mesh:
+        kind: SurfaceKind = "sheet" if mesh["kind"] == "sheet" else "solid"
+        return LayerSource(path, kind, int(mesh["into"])) if mesh["kind"] else LayerSource(path)
+    names = (stated["names"] or "").split(",")
+    return LayerSource(path, segments=tuple(name.strip() for name in names if name.strip()))
 
 
 def _build_scan(cells: Mapping[str, str], folder: Path, where: str, faults: list[Fault]) -> Scan | None:
@@ -263,6 +256,8 @@ def _build_scan(cells: Mapping[str, str], folder: Path, where: str, faults: list
             column = VECTORS[name][int(place[0])] if place else name
             value = repr(detail["input"]) if isinstance(detail["input"], str) else "empty"
             text = re.sub("Value error, |Input should be |, unable to parse.*", "", detail["msg"])
+            if detail["type"] == "extra_forbidden":
+                text = f"the columns {', '.join(SCAN_COLUMNS)}"
             note_fault(
                 faults,
                 where,
@@ -297,15 +292,7 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
             fix="rename the column; tables of needles' points are read by `needlefit import`",
             where=f"{path}:1",
         )
-    for name in (name for name in cells if name not in SCAN_COLUMNS):
-        note_fault(
-            faults,
-            f"{path}:1",
-            f"column `{name}` is unknown",
-            f"one of {', '.join(SCAN_COLUMNS)}",
-            "remove the column, or correct its name",
-        )
-    rows = cells[[name for name in cells if name in SCAN_COLUMNS]].to_dict("records")
+    rows = cells.to_dict("records")
     places = [table.where(n) for n in range(len(rows))]
     unmarked = [place for row, place in zip(rows, places, strict=True) if not row.get("markers")]
     if 0 < len(unmarked) < len(rows):  # the worlds of the others would be others
@@ -326,24 +313,21 @@ def _build_scans(
 
     Files are named from `folder`.
     """
-    scans: dict[str, Scan | None] = {}
-    first: dict[str, str] = {}
-    for row, place in zip(rows, places, strict=True):
-        id_ = row.get("id") or scan_id(Path(row["scan"]))
-        scan = _build_scan({**row, "id": id_}, folder, place, faults)
-        if id_ in first:
+    ids = [row.get("id") or scan_id(Path(row["scan"])) for row in rows]
+    cells = ({**row, "id": id_} for row, id_ in zip(rows, ids, strict=True))
+    scans = [_build_scan(row, folder, place, faults) for row, place in zip(cells, places, strict=True)]
+    for n, id_ in enumerate(ids):
+        if (first := ids.index(id_)) < n:
             note_fault(
                 faults,
-                place,
-                f"has the id {id_}, as {first[id_]} has",
+                places[n],
+                f"has the id {id_}, as {places[first]} has",
                 "a different id for every scan: it names files of the dataset",
                 "give each an id of its own in a table of scans",
             )
-        first.setdefault(id_, place)
-        scans[id_] = scan
     if faults:
         raise as_error(faults, path)
-    return tuple(scan for scan in scans.values() if scan)
+    return tuple(scan for scan in scans if scan)
 
 
 def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[Scan, ...]:
@@ -367,9 +351,8 @@ def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[S
 def scan_id(volume: Path) -> str:
     """Return the id of a volume from its file name: without the ending, and with allowed characters only."""
     name = volume.resolve().name if volume.name in ("", "..") else volume.name
-    endings = (".seg.nrrd", *IMAGE_SUFFIXES, ".dcm", ARCHIVE_SUFFIX)
-    ending = next((end for end in endings if name.lower().endswith(end)), "")
-    return make_id(name[: len(name) - len(ending)], "scan")
+    endings = "|".join(map(re.escape, (".dcm", *SEGMENTATION_SUFFIXES)))
+    return make_id(re.sub(rf"(\.seg)?({endings})$", "", name, flags=re.IGNORECASE), "scan")
 
 
 def write_scan_table(scans: Sequence[Scan], path: Path, home: Path | None = None) -> None:

@@ -1,8 +1,8 @@
 """Read segmentations: volumes in which every voxel holds the number of its layer."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,6 @@ EXPECTED_LABELS = (
     "outside the tissue"
 )
 SAVE_FIX = "load the segmentation in 3D Slicer, contours (RTSTRUCT) too, and save it as .seg.nrrd"
-OVERLAP_FIX = '; in the Segment Editor set "Modify other segments" to "Overwrite all" first'
 
 
 @dataclass(frozen=True)
@@ -52,35 +51,30 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
         present = sorted(set().union(*(np.unique(plane).tolist() for plane in volume.values)) - {0.0})
         are_labels = all(0 < value < 2**16 and value.is_integer() for value in present)
         if not are_labels or not 1 <= len(present) <= np.iinfo(np.uint8).max:
-            many = "holds {} labels: this is a scan, from {:g} to {:g}"
-            none = "holds no label: all voxels are 0"
-            problem = many.format(len(present), present[0], present[-1]) if present else none
-            raise DataError(problem, expected=EXPECTED_LABELS, fix=SAVE_FIX)
-        segments = _parse_segments(texts) or tuple(Segment(int(value), "") for value in present)
-        values = [segment.value for segment in segments]
-        if sorted(values) != present:
-            listed = ", ".join(f"{value:g}" for value in present)
-            stated = ", ".join(f"{segment.name} (label {segment.value})" for segment in segments)
-            overlap = "its segments overlap: " * (len(set(values)) < len(values))
             raise DataError(
-                f"{overlap}its voxels have the labels {listed}, its segments are {stated}",
-                expected="each voxel in one segment, and voxels in every segment",
-                fix=SAVE_FIX + (OVERLAP_FIX if overlap else ""),
+                f"holds {len(present)} values besides 0, {', '.join(map(str, present[:3]))} ...: no labels",
+                expected=EXPECTED_LABELS,
+                fix=SAVE_FIX,
             )
-        return Labels(volume, _choose_segments(segments, names))
+        labels = [f"{value:.0f}" for value in present]
+        stated = _parse_segments(texts) or [(label, "") for label in labels]
+        if sorted(label for label, _ in stated) != sorted(labels):
+            segments = ", ".join(f"{name} (label {label})" for label, name in stated)
+            raise DataError(
+                f"its voxels have the labels {', '.join(labels)}, its segments are {segments}",
+                expected="each voxel in one segment, and voxels in every segment",
+                fix=SAVE_FIX,
+            )
+        return Labels(volume, _choose_segments([Segment(int(label), name) for label, name in stated], names))
 
 
-def _parse_segments(texts: Mapping[str, str]) -> tuple[Segment, ...]:
-    """Return the segments that the texts of a header name, in its order."""
-    segments: list[Segment] = []
-    while any(f"Segment{len(segments)}_{key}" in texts for key in ("ID", "LabelValue")):
-        n = len(segments)
-        text = texts.get(f"Segment{n}_LabelValue", f"{n + 1}").strip()
-        if not re.fullmatch(r"[0-9]{1,5}", text):
-            problem = f"its header states {text[:40]!r} where a segment has a whole number"
-            raise DataError(problem, expected="numbers of up to 5 digits", fix=SAVE_FIX)
-        segments.append(Segment(int(text), texts.get(f"Segment{n}_Name", "").strip()))
-    return tuple(segments)
+def _parse_segments(texts: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Return the label and the name of each segment in the texts of a header, in its order."""
+    numbers = takewhile(lambda n: f"Segment{n}_ID" in texts, count())
+    return [
+        (texts.get(f"Segment{n}_LabelValue", f"{n + 1}").strip(), texts.get(f"Segment{n}_Name", "").strip())
+        for n in numbers
+    ]
 
 
 def _choose_segments(segments: Sequence[Segment], names: Sequence[str]) -> tuple[Segment, ...]:
