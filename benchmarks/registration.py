@@ -78,8 +78,8 @@ def count_turns(layout: Floats) -> int:
     """Return how many turns map a layout onto itself so nearly that noise hides it; 1: none."""
     count, apart = len(layout), cdist(layout, layout)
     near = (apart[:, None, :, None] - apart[:, None]) ** 2 <= 2 * SD**2 * HIDDEN_CHI2
-    variance = np.full((count, count), SD**2)
-    pairings = map(np.array, list_pairings(near, count))
+    variance = np.full(count, SD**2)
+    pairings = list_pairings(near, count)
     return sum(align(layout, layout, variance, pairs).chi2 <= HIDDEN_CHI2 for pairs in pairings)
 
 

@@ -209,36 +209,34 @@ def assemble_checked(
     DataError if the dataset of those without faults has one.
     """
     kept, failures = list[Reconstruction](), list[ReconstructionFailure]()
-    for one in reconstructions:
-        faults = _find_faults([one], recipe, description)
+    for result in reconstructions:
+        with TemporaryDirectory(prefix="needlefit-") as trial:
+            faults = _write_and_check(Path(trial), [result], recipe, description)
         if not faults:
-            kept.append(one)
+            kept.append(result)
             continue
         what = "; ".join(dict.fromkeys(fault.what for fault in faults))
-        error = DataError(
-            f"gives no insertion that a dataset may hold: {what}",
-            where=one.scan.volume,
-            expected=faults[0].expected,
-            fix=faults[0].fix,
+        error = faults[0].replace(
+            what=f"gives no insertion that a dataset may hold: {what}", where=result.scan.volume
         )
-        failures.append(ReconstructionFailure(one.scan, error, list_control_points(one)))
-    if kept:
-        if len(kept) > 1 and (faults := _find_faults(kept, recipe, description)):
-            raise as_error(faults, Path(description.name))
-        assemble_dataset(folder, kept, recipe, description)
+        failures.append(ReconstructionFailure(result.scan, error, list_control_points(result)))
+    if kept and (faults := _write_and_check(folder, kept, recipe, description)):
+        raise as_error(faults, Path(description.name))
     return tuple(kept), tuple(failures)
 
 
-def _find_faults(
-    reconstructions: Sequence[Reconstruction], recipe: ReconstructionRecord, description: DatasetDescription
+def _write_and_check(
+    folder: Path,
+    reconstructions: Sequence[Reconstruction],
+    recipe: ReconstructionRecord,
+    description: DatasetDescription,
 ) -> list[Fault]:
-    """Return the faults of the dataset of insertions, their places without the trial folder."""
-    with TemporaryDirectory(prefix="needlefit-") as trial:
-        assemble_dataset(Path(trial), reconstructions, recipe, description)
-        return [
-            fault.replace(
-                where=fault.where.replace(f"{trial}/", ""),
-                fix=fault.fix.replace("dataset.toml", "the recipe"),  # what its user has written
-            )
-            for fault in check(Path(trial))
-        ]
+    """Write a dataset into `folder`; return its faults, with places from there."""
+    assemble_dataset(folder, reconstructions, recipe, description)
+    return [
+        fault.replace(
+            where=fault.where.replace(f"{folder}/", ""),
+            fix=fault.fix.replace("dataset.toml", "the recipe"),  # what its user has written
+        )
+        for fault in check(folder)
+    ]

@@ -14,7 +14,7 @@ with equal deviations eq. 46 of J. M. Fitzpatrick et al., IEEE Trans. Med. Imagi
 """
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -54,105 +54,84 @@ class Registration:
     warnings: tuple[str, ...] = ()  # what a person should know; empty if all is as expected
 
 
-def register(
-    found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: ArrayLike = 0.0
-) -> Registration:
+def register(found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: float = 0.0) -> Registration:
     """Return the rigid motion that takes the markers found in the scan to their known positions.
 
     `found`: (M, 3); centres found in the scan, LPS, mm; some may be missing, some may be no markers.
     `known`: (N, 3); places in the world, mm, in any order.
-    `found_sd`, `known_sd`: float or (M,) array (of known: N); deviation in any one direction, mm, above 0.
+    `found_sd`: float or (M,); deviation in any one direction, mm, above 0; `known_sd`: of a known place.
 
     DataError: fewer than three markers; markers on a line; no pairing within the noise; several pairings as
     likely.
     """
     here, there = (np.asarray(given, dtype=np.float64).reshape(-1, 3) for given in (found, known))
-    variance = np.square(np.broadcast_to(found_sd, len(here)))[:, None] + np.square(known_sd)
-    variance = np.broadcast_to(variance, (len(here), len(there)))
-    best, *others = fit_pairings(here, there, variance)
-    sd = float(np.sqrt(variance[tuple(best.pairs.T)].max()))
-    # the turn about a line through all markers is known to their deviation over their distance from it
-    turn = float(np.fmin(np.sqrt(np.trace(best.turn_covariance)), np.pi))
-    if turn > MAX_TURN_SD_RAD:
-        raise DataError(
-            f"{len(best.pairs)} markers lie on a line, or their deviation of {sd:.3g} mm is large against "
-            f"their layout: the turn about it is known to ± {np.degrees(turn):.0f} degrees only",
-            expected="three or more markers, one of them well beside the line through the others",
-            fix="use markers off that line, or correct reference_sd_mm and fiducial_sd_mm of the recipe (mm, "
-            "per direction)",
-            where="markers",
-        )
-    odds = sum(np.exp((best.chi2 - other.chi2) / 2) for other in others)
-    if odds / (1 + odds) > PROBABILITY.FALSE_ALARM:
-        raise DataError(
-            f"{1 + len(others)} pairings of {len(best.pairs)} markers are likely, the best two leave "
-            f"{best.fre:.2f} and {others[0].fre:.2f} mm",
-            expected="one pairing that is at least 10 000 times as likely as all others together",
-            fix="move or add a marker so that no two distances are alike",
-            where="markers",
-        )
-    listed = [
-        f"{kind} markers without a partner: {', '.join(map(str, left))} (counted from 0)"
-        for kind, points, paired in zip(("found", "known"), (here, there), best.pairs.T, strict=True)
-        if len(left := np.setdiff1d(np.arange(len(points)), paired))
-    ]
-    return replace(best, known=len(there), warnings=tuple(listed))
-
-
-def fit_pairings(found: Floats, known: Floats, variance: Floats) -> list[Registration]:
-    """Return the likeliest pairing of markers (M, 3) and (N, 3), and those that contradict it.
-
-    `variance` (M, N) is that of each pair. Pairings have as many pairs as fit; of those some give a marker,
-    found or known, to a different one. DataError if none fits.
-    """
-    most = min(len(found), len(known))
+    variance = np.square(np.broadcast_to(found_sd, len(here))) + known_sd**2
+    changes = cdist(here, here)[:, None, :, None] - cdist(there, there)[:, None]
+    most = min(len(here), len(there))
     # two thirds or more: few among many are part of something else, and fit where the spacing is wrong, too;
     # three agree by chance, unless one of the sets has no more, and two always
     least = max(3, min(most, max(4, most - most // 3)))
-    changes = cdist(found, found)[:, None, :, None] - cdist(known, known)[:, None]
+    fault = f"no pairing of the {len(here)} found with the {len(there)} known markers fits"
     for count in range(most, least - 1, -1):
         limit = float(chdtri(3 * count - 6, PROBABILITY.FALSE_ALARM))  # that a right pairing hardly exceeds
         # two pairs of variances v that change a distance by D cost at least D^2 / (v_1 + v_2) in chi-squared
-        near = changes**2 <= (limit + MIN_CHI2_GAP) * (variance[..., None, None] + variance)  # (M, N, M, N)
-        listed = [np.array(pairs) for pairs in islice(list_pairings(near, count), MAX_PAIRINGS + 1)]
+        costs = changes**2 / np.add.outer(variance, variance)[:, None, :, None]
+        listed = [*islice(list_pairings(costs <= limit + MIN_CHI2_GAP, count), MAX_PAIRINGS + 1)]
         if len(listed) > MAX_PAIRINGS:
-            raise DataError(
-                f"more than {MAX_PAIRINGS} pairings of {len(found)} and {len(known)} markers fit",
-                expected="markers whose mutual distances differ by more than their noise",
-                fix="leave out spurious markers, or state smaller deviations if they are",
-                where="markers",
+            fault = f"more than {MAX_PAIRINGS} pairings of the markers fit"
+            break
+        fits = sorted((align(here, there, variance, pairs) for pairs in listed), key=lambda fit: fit.chi2)
+        if fits and fits[0].chi2 <= limit:
+            fault = _find_fault(fits)
+            break
+        if any(align(-here, there, variance, pairs).chi2 <= limit for pairs in listed):
+            fault = f"the markers are mirrored: {count} fit reflected, fewer as they are"
+            break
+    if fault:
+        raise DataError(
+            f"{fault}; their deviations are {np.sqrt(variance.max(initial=0.0)):.3g} mm at most",
+            expected="three or more markers, one of them well beside the line through the others, at "
+            "distances as in the world, no two of which are alike",
+            fix="scan with all markers in view; look at those that were found; check the known ones, their "
+            "unit, signs of axes, the direction of the slices, the spacing of the voxels (mm), and in the "
+            "recipe markers.diameter_mm, max_misfit, reference_sd_mm, fiducial_sd_mm; move or add markers",
+            where="markers",
+        )
+    unpaired = [
+        f"{kind} markers without a partner: {', '.join(map(str, left))} (counted from 0)"
+        for kind, points, paired in zip(("found", "known"), (here, there), fits[0].pairs.T, strict=True)
+        if len(left := np.setdiff1d(np.arange(len(points)), paired))
+    ]
+    return replace(fits[0], known=len(there), warnings=tuple(unpaired))
+
+
+def _find_fault(fits: Sequence[Registration]) -> str:
+    """Return why the first of some fits, the likeliest, is not the motion; empty if it is."""
+    best, *others = fits
+    # the turn about a line through all markers is known to their deviation over their distance from it
+    turn = float(np.fmin(np.sqrt(np.trace(best.turn_covariance)), np.pi))
+    if turn > MAX_TURN_SD_RAD:
+        return (
+            f"{len(best.pairs)} markers lie on a line, or their deviations are large against their layout: "
+            f"the turn about it is known to ± {np.degrees(turn):.0f} degrees only"
+        )
+    for other in others:
+        same_found, same_known = np.moveaxis(best.pairs[:, None] == other.pairs, -1, 0)
+        # one gives a marker, found or known, to a different one than the other does
+        if other.chi2 < best.chi2 + MIN_CHI2_GAP and (same_found != same_known).any():
+            return (
+                f"two pairings of {len(best.pairs)} markers are likely: they leave {best.fre:.2f} and "
+                f"{other.fre:.2f} mm"
             )
-        fitted = sorted((align(found, known, variance, pairs) for pairs in listed), key=lambda fit: fit.chi2)
-        if fitted and fitted[0].chi2 <= limit:
-            same = [fitted[0].pairs[:, None] == fit.pairs for fit in fitted]
-            return fitted[:1] + [
-                fit
-                for fit, alike in zip(fitted, same, strict=True)
-                if fit.chi2 <= limit + MIN_CHI2_GAP and (alike[..., 0] != alike[..., 1]).any()
-            ]
-        if any(align(-found, known, variance, pairs).chi2 <= limit for pairs in listed):
-            raise DataError(
-                f"the markers are mirrored: {count} fit reflected, fewer as they are",
-                expected="a scan of the same handedness as the world",
-                fix="look at the direction of the slices and at the coordinate system of the markers' file",
-                where="markers",
-            )
-    raise DataError(
-        f"no pairing of the {len(found)} found with the {len(known)} known markers fits within "
-        f"{np.sqrt(np.max(variance, initial=0.0)):.2f} mm",
-        expected="three or more markers at distances as in the world, more if some are missing",
-        fix="scan with all markers in view; look at those that were found; check the known ones, their unit, "
-        "signs of axes and the spacing of the voxels (mm); state larger deviations",
-        where="markers",
-    )
+    return ""
 
 
 def list_pairings(
     near: NDArray[np.bool_], count: int, begun: tuple[tuple[int, int], ...] = ()
-) -> Iterator[tuple[tuple[int, int], ...]]:
-    """Yield the pairings of `count` pairs, of which the first have `begun`, any two of which are `near`."""
+) -> Iterator[Ints]:
+    """Yield the pairings (count, 2), of which the first pairs have `begun`, any two of which are `near`."""
     if len(begun) == count:
-        yield begun
+        yield np.array(begun)
         return
     first = begun[-1][0] + 1 if begun else 0
     for n in range(first, len(near) - count + len(begun) + 1):  # found markers that leave enough others
@@ -164,7 +143,7 @@ def list_pairings(
 def align(found: Floats, known: Floats, variance: Floats, pairs: Ints) -> Registration:
     """Return the likeliest motion given the pairs."""
     i, j = pairs.T
-    weights = 1 / variance[i, j]
+    weights = 1 / variance[i]
     here, there = (np.average(points, axis=0, weights=weights) for points in (found[i], known[j]))
     with warnings.catch_warnings():  # of points on a line, which are refused later
         warnings.simplefilter("ignore", UserWarning)

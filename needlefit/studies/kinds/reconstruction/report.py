@@ -71,6 +71,7 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
     "crossings": (*("id", "number", "out_of", "into", "depth_mm", "depth_sd_mm", "x_mm", "y_mm", "z_mm"),),
     "passed": ("id", "number", "part", "material", "begin_mm", "end_mm", "level_hu"),
     "remarks": ("id", "note"),
+    "refused": ("id", "scan", "note"),
     "deflections": ("id", "x_mm", "y_mm", "low_mm", "high_mm"),
 }
 MAX_DRAWN_POINTS = 60  # largest number of points of a needle in the figure
@@ -99,6 +100,7 @@ def tabulate_batch(
     name: str,
     record: ReconstructionBatchRecord,
     ones: Sequence[Reconstruction],
+    refused: Sequence[ReconstructionFailure] = (),
     warnings: Iterable[ResultWarning] = (),
 ) -> Run:
     """Return the result of a batch; `warnings` are those of the dataset."""
@@ -117,6 +119,7 @@ def tabulate_batch(
             "crossings": tabulate_crossings(ones),
             "passed": tabulate_passed(ones),
             "remarks": pd.DataFrame(remarks, columns=list(FRAMES["remarks"])),
+            "refused": tabulate_failures(refused),
             "deflections": tabulate_deflections(ones),
         },
         metadata=RunMetadata(
@@ -228,8 +231,8 @@ def tabulate_failures(failures: Sequence[ReconstructionFailure]) -> pd.DataFrame
         parts = {"refused": failure.error.what}
         parts |= {name: getattr(failure.error, name) for name in ("where", "expected", "fix")}
         words = ". ".join(f"{name}: {text}" for name, text in parts.items() if text)
-        rows.append({"id": failure.scan.id, "scan": failure.scan.volume.name, "note": words})
-    return pd.DataFrame(rows)
+        rows.append((failure.scan.id, failure.scan.volume.name, words))
+    return pd.DataFrame(rows, columns=list(FRAMES["refused"]))
 
 
 # ---- the report
@@ -277,7 +280,7 @@ def lay_out_reconstructions(run: Run) -> TableLayout:
 
 def lay_out_batch(run: Run) -> list[TableLayout]:
     """Return the main results of each scan, and the scans that were refused, if any were."""
-    refused = to_records(run.frames.get("refused", pd.DataFrame()))
+    refused = to_records(run.frames["refused"])
     table = Table("refused", [{**row, "scan": row["id"]} for row in refused], ("scan", "note"))
     further = [TEXT.lay_out(table, {}, drop_empty=True)] if refused else []
     return [lay_out_reconstructions(run), *further]
@@ -361,12 +364,9 @@ def write_reconstruction(
         (fresh / "scenes").mkdir()
         for insertion in dataset.insertions:
             write_scene(fresh / "scenes" / f"{insertion.id}.toml", dataset, insertion)
-        result = tabulate_batch(description.name, record, kept, dataset.warnings)
-        result = replace(result, timing=store_sources(sources, folder))
-        if refused:
-            result = replace(result, frames={**result.frames, "refused": tabulate_failures(refused)})
-            _write_refusals(refused, fresh)
-        write_files(result, fresh)
+        result = tabulate_batch(description.name, record, kept, refused, dataset.warnings)
+        _write_refusals(refused, fresh)
+        write_files(replace(result, timing=store_sources(sources, folder)), fresh)
     return result, failures
 
 
