@@ -112,8 +112,10 @@ def test_one_failure_loses_nothing_and_results_of_a_second_run_equal_those_of_an
         assert run(*words, out) == 3
     assert "1 of 2 scans failed" in errors.getvalue() and "fix" in errors.getvalue()
     assert [one.id for one in read_dataset(out).insertions] == ["whole"]
+    kept = out.with_name("out.partial")
+    assert any(path.suffix == ".jsonl" for path in kept.iterdir())
     shutil.copy(VOLUME, cut)
-    assert run(*words, out) == 0
+    assert run(*words, out) == 0 and not kept.exists()
     assert [one.id for one in read_dataset(out).insertions] == ["truncated", "whole"]
     again = out.with_name("again") / "out"
     capsys.readouterr()

@@ -2,13 +2,12 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from needlefit.errors import DataError
 from needlefit.imaging import batch
 from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
-from needlefit.imaging.reconstruction import CurvePicture, ScanView
+from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import read_scans
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import shipped_folder
@@ -32,29 +31,36 @@ def test_an_error_of_the_program_is_no_error_of_the_scan(sample, monkeypatch):
         reconstruct_all([sample], RECIPE, ReconstructionBatch())
 
 
-def test_a_resumed_batch_makes_unfinished_scans_only_and_its_results_are_the_same(
+def test_a_batch_makes_scans_again_that_are_not_kept_and_its_results_are_the_same(
     sample, monkeypatch, tmp_path
 ):
+    ((whole,),) = reconstruct_all([sample], RECIPE, ReconstructionBatch())
     made = []
 
-    def refuse(scan, **_):
+    def reconstruct(scan, **_):
         made.append(scan.id)
-        views = (ScanView(("x", "y"), np.array([[np.nan, 1 / 3]]), (0.0, 1.0, -1.0, 2.5)),)
-        picture = CurvePicture(views, np.arange(6).reshape(2, 3) / 7, np.empty(0))
-        error = DataError("cut", where=scan.volume, fix="copy it")
-        return (ReconstructionFailure(scan, error, picture=picture, asked=True),)
+        if scan.id != "b" or scan.answers:
+            return (replace(whole, scan=scan),)
+        return (ReconstructionFailure(scan, DataError("cut", where=scan.volume, fix="copy it"), asked=True),)
 
-    monkeypatch.setattr(batch, "reconstruct_needles", refuse)
+    monkeypatch.setattr(batch, "reconstruct_needles", reconstruct)
     scans = [replace(sample, id=name) for name in "abc"]
     checkpoint = open_checkpoint(tmp_path / "out.partial", False, {"scans": 3})
-    stopped = ReconstructionBatch(stop=lambda: len(made) == 2, checkpoint=checkpoint)
-    assert len(reconstruct_all(scans, RECIPE, stopped)) == 2
-    resumed = reconstruct_all(scans, RECIPE, ReconstructionBatch(checkpoint=checkpoint))
-    assert made == ["a", "b", "c"]
-    for results, at_once in zip(resumed, reconstruct_all(scans, RECIPE, ReconstructionBatch()), strict=True):
-        ((failure,), (other,)) = results, at_once
-        assert failure.scan.files == other.scan.files and failure.asked
-        assert str(failure.error) == str(other.error) and type(failure.error) is DataError
-        (view,), (same,) = failure.picture.views, other.picture.views
-        assert view.extent == same.extent and view.values.tobytes() == same.values.tobytes()
-        assert failure.picture.entries.shape == (0,)
+
+    def run(scans=scans, stop=lambda: False):
+        kept = ReconstructionBatch(
+            stop=stop, checkpoint=checkpoint, name_work=lambda scan: f"{scan.id} {scan.answers}"
+        )
+        return [result for (result,) in reconstruct_all(scans, RECIPE, kept)]
+
+    assert len(run(stop=lambda: len(made) == 2)) == 2
+    first, failure, last = run()
+    assert made == ["a", "b", "b", "c"]
+    assert failure.asked and failure.error.fix == "copy it" and type(failure.error) is DataError
+    for result in (first, last):
+        assert result.scan.files == sample.files
+        assert result.needle_axis.points.tobytes() == whole.needle_axis.points.tobytes()
+        for view, same in zip(result.views, whole.views, strict=True):
+            assert view.extent == same.extent and view.values.tobytes() == same.values.tobytes()
+    answered = run([replace(scan, answers={"b": 1} if scan.id == "b" else {}) for scan in scans])
+    assert made == ["a", "b", "b", "c", "b"] and isinstance(answered[1], Reconstruction)

@@ -106,8 +106,14 @@ def reconstruct(
         from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
         from needlefit.imaging.corrections import correct_scans, list_control_points
         from needlefit.imaging.scans import scan_id
-        from needlefit.project.checkpoint import open_checkpoint, remove_checkpoint, require_own_checkpoint
+        from needlefit.project.checkpoint import (
+            open_checkpoint,
+            release_checkpoint,
+            remove_checkpoint,
+            require_own_checkpoint,
+        )
         from needlefit.project.folders import remove_result, require_no_inputs_within, require_replaceable
+        from needlefit.project.input_files import digest_values
         from needlefit.project.locate import find_file
         from needlefit.project.toml import load
         from needlefit.schemas.names import require_file_name
@@ -144,11 +150,15 @@ def reconstruct(
         require_same_sources(out, sources)
         require_no_inputs_within(out, [*scans, *moved, *(path for scan in wanted for path in scan.files)])
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
-        work = describe_work(wanted, record, every)
-        checkpoint = open_checkpoint(partial, invocation.resume, work, print_remark)
+
+        def name_work(scan: "Scan") -> str:
+            return digest_values(describe_work(scan, record, every))
+
+        # a result is found by all that decides it: another answer, or another scan, leaves the rest
+        checkpoint = open_checkpoint(partial, True, {"kind": "reconstruction"}, print_remark)
         with show_progress(invocation.quiet) as report:
             with open_pool(invocation, MAX_DEFAULT_JOBS) as pool:
-                batch = ReconstructionBatch(pool, report, execution.stop, every, checkpoint)
+                batch = ReconstructionBatch(pool, report, execution.stop, every, checkpoint, name_work)
                 scanned = reconstruct_all(wanted, record, batch)
             if len(scanned) < len(wanted):
                 raise execution.interrupted()
@@ -173,7 +183,10 @@ def reconstruct(
                 write_refused(failed, refused)
             else:  # those of an earlier run would be taken for this one's
                 remove_result(refused, print_remark)
-            remove_checkpoint(partial, print_remark)
+            if failed and written:  # the next run, with an answer or a correction, goes on from there
+                release_checkpoint(partial)
+            else:
+                remove_checkpoint(partial, print_remark)
     inspected = inspect(out) if written else None
     warnings = inspected.warnings if inspected else ()
     if written and not invocation.json:
@@ -281,4 +294,7 @@ def _print_failures(
     if failed and not run:
         screen.print_note(f"needlefit: no scan was reconstructed; the reasons as a table: {out}/refused.csv")
     elif failed and run:
-        screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")
+        screen.print_note(
+            f"needlefit: {len(failed)} of {count} scans failed; the others are written, and kept in "
+            f"{out}.partial for the next run"
+        )

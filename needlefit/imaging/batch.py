@@ -1,15 +1,15 @@
 """Reconstruct many scans, in one process or several.
 
-A scan that is refused does not stop the others; an error of the program does. Finished scans are kept in a
-checkpoint.
+A scan that is refused does not stop the others; an error of the program does. Reconstructed scans are kept in
+a checkpoint.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +28,6 @@ from needlefit.imaging.volume_files import read_volume
 from needlefit.project.callbacks import Progress, Stop, never_stop, no_progress
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
 from needlefit.project.processes import one_thread
-from needlefit.project.stored_values import decode, encode
 from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -57,6 +56,7 @@ class ReconstructionBatch:
     stop: Stop = never_stop  # whether to begin no further scan
     every: bool = False  # whether each needle of a scan is reconstructed
     checkpoint: Checkpoint = NO_CHECKPOINT  # keeps the results of finished scans, which are not made again
+    name_work: Callable[[Scan], str] = attrgetter("id")  # what the results of a scan are kept under
 
 
 def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
@@ -81,6 +81,13 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
 Result = Reconstruction | ReconstructionFailure
 
 
+@dataclass(frozen=True)
+class ScanResults:
+    """The results of the needles of one scan."""
+
+    needles: tuple[Result, ...]
+
+
 def reconstruct_all(
     scans: Sequence[Scan], recipe: ReconstructionRecord, batch: ReconstructionBatch
 ) -> tuple[tuple[Result, ...], ...]:
@@ -88,8 +95,9 @@ def reconstruct_all(
 
     Of fewer scans after a stop.
     """
-    kept = [batch.checkpoint.rows(scan.id) for scan in scans]
-    found = {n: _read_results(rows[0]) for n, rows in enumerate(kept) if rows}
+    works = [batch.name_work(scan) for scan in scans]
+    kept = [batch.checkpoint.read(work, ScanResults) for work in works]
+    found = {n: results.needles for n, results in enumerate(kept) if results is not None}
     todo = [n for n in range(len(scans)) if n not in found]
 
     def report(stage: str, done: int = 0, total: int = 1) -> None:
@@ -100,17 +108,14 @@ def reconstruct_all(
     work = partial(reconstruct_needles, recipe=recipe, every=batch.every)
     if isinstance(batch.pool, LocalPool) and (batch.pool.size == 1 or len(todo) == 1):
         work = partial(work, progress=report)  # not from other processes
-    for place, results in batch.pool.run(work, [scans[n] for n in todo], batch.stop):
-        n, row = todo[place], {"results": encode(results)}
-        batch.checkpoint.keep_row(scans[n].id, row)
-        found[n] = _read_results(row)  # as after --resume
+    for place, needles in batch.pool.run(work, [scans[n] for n in todo], batch.stop):
+        n = todo[place]
+        found[n] = needles
+        # what is refused may not be, once the reader that it lacks is installed
+        if all(isinstance(result, Reconstruction) for result in needles):
+            batch.checkpoint.keep(works[n], ScanResults(needles))
         report(scans[n].id)
     return tuple(found[n] for n in sorted(found))
-
-
-def _read_results(row: Mapping[str, Any]) -> tuple[Result, ...]:
-    results: tuple[Result, ...] = decode(row["results"], tuple[Result, ...])
-    return results
 
 
 @one_thread

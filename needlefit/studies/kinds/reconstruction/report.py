@@ -84,11 +84,11 @@ def run(name: str, record: ReconstructionBatchRecord, settings: Settings) -> Run
     )
 
 
-def describe_work(scans: Sequence[Scan], recipe: ReconstructionRecord, every: bool) -> dict[str, Any]:
-    """Return all that decides the result of a batch, as JSON values, with a digest of each file."""
-    files = {path for scan in scans for part in scan.files for path in list_series_files(part)}
+def describe_work(scan: Scan, recipe: ReconstructionRecord, every: bool) -> dict[str, Any]:
+    """Return all that decides the results of a scan, as JSON values, with a digest of each file."""
+    files = {path for part in scan.files for path in list_series_files(part)}
     return {
-        "scans": [encode(scan) for scan in scans],
+        "scan": encode(scan),
         "files": {str(path): sha256(path) for path in sorted(files)},
         "recipe": recipe.model_dump(mode="json"),
         "every": every,
