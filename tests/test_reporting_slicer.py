@@ -139,9 +139,7 @@ def test_a_segmentation():
     path = FILES / "Segmentation.seg.nrrd"
     expected = slicerio.read_segmentation(str(path))
     labels = read_labels(path)
-    assert [(one.name, one.value) for one in labels.segments] == [
-        (one["name"], one["labelValue"]) for one in expected["segments"]
-    ]
+    assert labels.names == {one["labelValue"]: one["name"] for one in expected["segments"]}
     assert np.array_equal(labels.volume.values, expected["voxels"].T)
     matrix = np.asarray(expected["ijkToLPS"])
     ijk = [[0, 0, 0], [3, 5, 7]]

@@ -1,7 +1,7 @@
 """The bright voxels of a volume, listed once: needle and balls are what hangs together among them."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -15,9 +15,7 @@ from needlefit.arrays import Ints
 # several times the volume's memory, and a level that more exceed separates nothing
 MAX_LISTED_VOXELS = 2**22
 # steps (k, j, i) to half of the neighbours of a voxel: the others meet it by the same steps
-CORNERS = np.array(list(product((-1, 0, 1), repeat=3)))[14:]
-FACES = np.eye(3, dtype=np.int64)
-Labels = tuple[Ints, Ints]
+STEPS = np.array(list(product((-1, 0, 1), repeat=3)))[14:]
 
 
 @dataclass
@@ -28,46 +26,39 @@ class BrightVoxels:
     level: float
     flat: Ints
     values: NDArray[np.float32]
-    _labels: dict[tuple[float, bool], Labels] = field(default_factory=dict)
 
-    def label(self, level: float, *, corners: bool = False) -> Labels:
+    def label(self, level: float) -> tuple[Ints, Ints]:
         """Return which of the voxels exceed a level, HU (n,), and a number for each (n,).
 
-        Those have the same number that hang together, by their faces, or by their corners, too.
+        Those have the same number that hang together, by their faces, edges or corners.
         """
-        if (level, corners) not in self._labels:
-            above = np.flatnonzero(self.values > level)
-            flat = self.flat[above]
-            # a step beyond an edge of this larger grid meets no voxel
-            grid = np.array(self.shape) + 1
-            places = np.ravel_multi_index(np.unravel_index(flat, self.shape), tuple(grid))
-            steps = (CORNERS if corners else FACES) @ [grid[1] * grid[2], grid[2], 1]
-            # links of runs along the rows: those of voxels would take several times the volume's memory
-            run = np.cumsum(np.diff(places, prepend=places[:1]) > 1)
-            count, links = run[-1] + 1 if len(run) else 0, np.empty(0, np.int64)
-            for step in steps:
-                there = np.minimum(np.searchsorted(places, places + step), len(places) - 1)
-                met = places[there] == places + step
-                links = np.union1d(links, run[met] * count + run[there[met]])
-            pairs = np.divmod(links, max(count, 1))
-            graph = coo_array((np.ones(len(links), np.int8), pairs), shape=(count, count))
-            labels = connected_components(graph, directed=False)[1][run]
-            self._labels[level, corners] = above, np.asarray(labels, dtype=np.int64)
-        return self._labels[level, corners]
+        above = np.flatnonzero(self.values > level)
+        flat = self.flat[above]
+        # a step beyond an edge of this larger grid meets no voxel
+        grid = np.array(self.shape) + 1
+        places = np.ravel_multi_index(np.unravel_index(flat, self.shape), tuple(grid))
+        # links of runs along the rows: those of voxels would take several times the volume's memory
+        run = np.cumsum(np.diff(places, prepend=places[:1]) > 1)
+        count, links = run[-1] + 1 if len(run) else 0, np.empty(0, np.int64)
+        for step in STEPS @ [grid[1] * grid[2], grid[2], 1]:
+            there = np.minimum(np.searchsorted(places, places + step), len(places) - 1)
+            met = places[there] == places + step
+            links = np.union1d(links, run[met] * count + run[there[met]])
+        pairs = np.divmod(links, max(count, 1))
+        graph = coo_array((np.ones(len(links), np.int8), pairs), shape=(count, count))
+        return above, np.asarray(connected_components(graph, directed=False)[1][run], dtype=np.int64)
 
     def list_parts(
         self,
         level: float,
         sizes: tuple[float, float] = (1, np.inf),
-        *,
-        corners: bool = False,
         without: Ints | None = None,
     ) -> Iterator[Ints]:
         """Yield the voxels (n, 3), i, j, k, of each part of a size that hangs together above a level, HU.
 
         Parts that hold one of the voxels `without` (M, 3) are left out.
         """
-        places, labels = self.label(level, corners=corners)
+        places, labels = self.label(level)
         size = np.bincount(labels)
         fits = (size >= sizes[0]) & (size <= sizes[1])
         if without is not None:

@@ -101,8 +101,7 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
     """
     images = find_series(Path(path), series)
     slices, grid = stack_slices([item for item in images if not item.is_localizer] or images)
-    largest = max(item.file.stat().st_size for item in slices)
-    allow_memory(grid.size[0] * grid.size[1] * SLICE_BYTES_PER_PIXEL + 4 * math.prod(grid.size) + largest)
+    allow_memory(grid.size[0] * grid.size[1] * SLICE_BYTES_PER_PIXEL + 4 * math.prod(grid.size))
     values = arrays["values"] = np.empty(grid.size[::-1], np.float32)
     arrays |= grid.placing
     for item, plane in zip(slices, values, strict=True):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from needlefit.errors import DataError, located
 from needlefit.geometry.frames import RAS_TO_LPS
-from needlefit.imaging.volume import READABLE_VOLUMES, VoxelGrid, check_grid, fill_unknown, is_tilted
+from needlefit.imaging.volume import READABLE_VOLUMES, VoxelGrid, check_grid, fill_unknown
 from needlefit.imaging.volume_files import MAX_HEADER_BYTES, list_series_files
 from needlefit.project.reader_process import Arrays, Planes, allow_memory
 
@@ -82,8 +82,7 @@ def _open_nifti(file: Path) -> Image:
     spacing = np.linalg.norm(affine[:, :3], axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):  # what this leaves `check_grid` refuses
         grid = VoxelGrid((columns, rows, slices), affine[:, 3], spacing, affine[:, :3] / spacing)
-    corners = np.diag([columns, rows, 0 if is_tilted(grid.direction) else slices, 1])  # no qform leans
-    corners[3] = 1
+    corners = np.array([[0, 0, 0, 1], [columns, 0, 0, 1], [0, rows, 0, 1]]).T  # of a slice: no qform leans
     other = header.get_qform() if header["qform_code"] else image.affine  # which is that of the sform, if any
     apart = np.linalg.norm(((image.affine - other) @ corners)[:3], axis=0).max()
     if apart > spacing.min():
@@ -130,8 +129,7 @@ def _open_itk(file: Path) -> Image:
         # indexed k, j, i, the reverse of the image's sizes
         return sitk.GetArrayFromImage(reader.Execute())
 
-    segments = {key: text for key, text in texts.items() if key.startswith("Segment")}
-    return read, grid, voxel_bytes, segments
+    return read, grid, voxel_bytes, texts
 
 
 def _check_header(file: Path, total_bytes: int) -> None:

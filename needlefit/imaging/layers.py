@@ -9,7 +9,6 @@ average is turned into a distance along which marching cubes may interpolate: be
 distribution function of the distance. A plane stays where it was; a right-angled edge loses about 0.5 mm.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -50,24 +49,21 @@ CELL_MM = 2 * SMOOTHING_SD_MM
 MIN_CORNER_DISTANCE_SD = MM.GRID_SD / SMOOTHING_SD_MM
 
 
-def extract_label_surfaces(path: Path, names: Sequence[str] = ()) -> tuple[Surface, ...]:
+def extract_label_surfaces(path: Path) -> tuple[Surface, ...]:
     """Return the surfaces of a segmentation, LPS, mm: one solid per layer, in order, `into` from 1.
-
-    `names` as in `read_labels`.
 
     DataError if the segmentation has a fault, or a layer and those beyond it fall apart.
     """
-    labels = read_labels(path, names)
+    labels = read_labels(path)
     with located(path):
         order = np.zeros(int(labels.volume.values.max()) + 1, dtype=np.uint8)
-        order[[segment.value for segment in labels.segments]] = np.arange(1, len(labels.segments) + 1)
+        order[[*labels.names]] = np.arange(1, len(labels.names) + 1)
         layers = order[labels.volume.values.astype(np.uint16)]  # (K, J, I), 0 outside
         inside = [np.flatnonzero(layers.any(axis=(axis - 1, axis - 2))) for axis in range(3)]
         low = np.array([where[0] for where in inside])  # the box around all labels
         layers = layers[tuple(slice(int(where[0]), int(where[-1]) + 1) for where in inside)]
         return tuple(
-            _extract_surface(layers >= layer, low, layer, labels)
-            for layer in range(1, len(labels.segments) + 1)
+            _extract_surface(layers >= layer, low, layer, labels) for layer in range(1, len(labels.names) + 1)
         )
 
 
@@ -92,7 +88,7 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
     # a cell's centre lies (block - 1) / 2 voxels after its first voxel; the padding comes off
     kji = vertices * block + (block - 1) / 2 - before + low
     points = to_patient(labels.volume, kji[:, ::-1])
-    name, last = labels.segments[layer - 1].name, layer == len(labels.segments)
+    name, last = [*labels.names.values()][layer - 1], layer == len(labels.names)
     surface, loose = extract_solid(
         make_id(f"layer {layer} {name}".strip(), ""), points, faces.astype(np.int64), layer
     )
@@ -161,7 +157,7 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
         )
     elif segmented is not None:
         try:
-            surfaces += extract_label_surfaces(segmented.path, segmented.segments)
+            surfaces += extract_label_surfaces(segmented.path)
         except DataError as error:
             faults.append(error)
     else:

@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 from pydantic import (
     AfterValidator,
-    BeforeValidator,
     Field,
     NonNegativeFloat,
     PositiveInt,
@@ -65,13 +64,9 @@ class LayerSource:
     kind: SurfaceKind | None = None  # None: solid where the mesh is closed
     # The layer it leads into; 1 is the tissue's own surface. None: by its place in the list, from 2.
     into: int | None = None
-    # Of a segmentation: the segments that are layers 1, 2, ...; empty: all, in its own order.
-    segments: tuple[str, ...] = ()
 
     def name_file(self, file: str) -> str:
         """Return the source as a table of scans states it, with `file` for its path."""
-        if self.segments:
-            return f"{file}=segments:{','.join(self.segments)}"
         return file if self.kind is None else f"{file}={self.kind}:{self.into}"
 
     @property
@@ -145,14 +140,7 @@ FILES = ("mask", "markers", "fiducials")
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 SEGMENTATION_SUFFIXES = (*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)
 SCAN_TABLE_FIX = "write a table of scans, with a column for it"
-_MESH = re.compile(
-    rf"(.+({'|'.join(map(re.escape, MESH_SUFFIXES))}))\s*(=(?P<kind>sheet|solid):(?P<into>[1-9]\d{{0,2}}))?",
-    re.IGNORECASE,
-)
-_SEGMENTATION = re.compile(
-    rf"(.+({'|'.join(map(re.escape, SEGMENTATION_SUFFIXES))}))\s*(=segments:(?P<names>[^=]+))?",
-    re.IGNORECASE,
-)
+_LAYER = re.compile(r"(?P<file>.+?)\s*(=(?P<kind>sheet|solid):(?P<into>[1-9]\d{0,2}))?", re.DOTALL)
 
 
 def _require_id(text: str) -> str:
@@ -178,7 +166,7 @@ def _parse_layers(text: str, info: ValidationInfo) -> tuple[LayerSource, ...]:
 
 Id = Annotated[str, AfterValidator(_require_id)]
 InputFile = Annotated[Any, AfterValidator(_locate)]
-Side = Annotated[Literal["1", "-1"], BeforeValidator(lambda text: f"{float(text):g}"), AfterValidator(int)]
+Side = Annotated[Literal["1", "-1"], AfterValidator(int)]
 Vector = tuple[float, float, float]
 Stage = tuple[float, float, float, float, float, float, NonNegativeFloat, NonNegativeFloat]
 
@@ -223,23 +211,21 @@ SCAN_COLUMNS = tuple(column for name in COLUMN_NAMES for column in VECTORS.get(n
 
 
 def parse_layer_source(text: str, folder: Path) -> LayerSource:
-    """Return the layer stated as `file`, `file=kind:into` or `file=segments:names`, relative to `folder`.
+    """Return the layer stated as `file` or `file=kind:into`, relative to `folder`.
 
     ValueError if it is none.
     """
-    mesh, segmentation = _MESH.fullmatch(text), _SEGMENTATION.fullmatch(text)
-    stated = mesh or segmentation
-    if stated is None or not is_file(path := folder / stated[1]):
+    stated = _LAYER.fullmatch(text)
+    assert stated is not None  # a file's name may be anything
+    path = folder / stated["file"]
+    endings = MESH_SUFFIXES if stated["kind"] else (*MESH_SUFFIXES, *SEGMENTATION_SUFFIXES)
+    if not is_file(path) or not path.name.lower().endswith(endings):
         raise ValueError(
-            f"FILE, FILE=sheet:2 or FILE=solid:3 of a mesh ({', '.join(MESH_SUFFIXES)}), or FILE or "
-            f"FILE=segments:NAME,NAME of a segmentation ({', '.join(SEGMENTATION_SUFFIXES)}); there is no "
-            f"such file {folder / text}"
+            f"an existing mesh ({', '.join(MESH_SUFFIXES)}), with or without =sheet:2 or =solid:3, or "
+            f"segmentation ({', '.join(SEGMENTATION_SUFFIXES)}); {path} is none"
         )
-    if stated is mesh:
-        kind: SurfaceKind = "sheet" if mesh["kind"] == "sheet" else "solid"
-        return LayerSource(path, kind, int(mesh["into"])) if mesh["kind"] else LayerSource(path)
-    names = (stated["names"] or "").split(",")
-    return LayerSource(path, segments=tuple(name.strip() for name in names if name.strip()))
+    kind: SurfaceKind = "sheet" if stated["kind"] == "sheet" else "solid"
+    return LayerSource(path, kind, int(stated["into"])) if stated["kind"] else LayerSource(path)
 
 
 def _build_scan(cells: Mapping[str, str], folder: Path, where: str, faults: list[Fault]) -> Scan | None:
@@ -294,11 +280,11 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
         )
     rows = cells.to_dict("records")
     places = [table.where(n) for n in range(len(rows))]
-    unmarked = [place for row, place in zip(rows, places, strict=True) if not row.get("markers")]
-    if 0 < len(unmarked) < len(rows):  # the worlds of the others would be others
+    are_marked = [bool(row.get("markers")) for row in rows]
+    if len({*are_marked}) > 1:  # the worlds of the others would be others
         note_fault(
             faults,
-            unmarked[0],
+            places[are_marked.index(False)],
             "`markers` is empty, but other scans have some",
             "one world for all: markers for every scan, or for none",
             "add the markers' places, or put this scan into a table of its own",
@@ -355,14 +341,11 @@ def scan_id(volume: Path) -> str:
     return make_id(re.sub(rf"(\.seg)?({endings})$", "", name, flags=re.IGNORECASE), "scan")
 
 
-def write_scan_table(scans: Sequence[Scan], path: Path, home: Path | None = None) -> None:
-    """Write a table of scans, from which `read_scans` reads the same.
-
-    Paths are relative to its folder, or to `home`, where that will stand.
-    """
+def write_scan_table(scans: Sequence[Scan], path: Path, home: Path) -> None:
+    """Write a table of scans, from which `read_scans` reads the same once it stands in the folder `home`."""
 
     def relative(file: Path) -> str:
-        return Path(os.path.relpath(file.resolve(), (home or path.parent).resolve())).as_posix()
+        return Path(os.path.relpath(file.resolve(), home.resolve())).as_posix()
 
     rows = list[dict[str, Any]]()
     for scan in scans:

@@ -1,6 +1,6 @@
 """Read segmentations: volumes in which every voxel holds the number of its layer."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import count, takewhile
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy as np
 
 from needlefit.errors import DataError, located
 from needlefit.imaging.volume import Volume
-from needlefit.imaging.volume_files import is_image_file, open_member, read_image_file
+from needlefit.imaging.volume_files import open_member, read_image_file
 
 EXPECTED_LABELS = (
     "a .seg.nrrd, or another volume (NRRD, NIfTI, MetaImage) of a whole number for each voxel's layer, 0 "
@@ -19,34 +19,23 @@ SAVE_FIX = "load the segmentation in 3D Slicer, contours (RTSTRUCT) too, and sav
 
 
 @dataclass(frozen=True)
-class Segment:
-    """One layer of tissue in a segmentation: the `value` of its voxels, and its name ("": there is none)."""
-
-    value: int
-    name: str
-
-
-@dataclass(frozen=True)
 class Labels:
-    """A segmentation; `segments` are the layers 1, 2, ... in this order."""
+    """A segmentation, and the names of the layers 1, 2, ... by the values of their voxels, in this order."""
 
     volume: Volume
-    segments: tuple[Segment, ...]
+    names: dict[int, str]  # "" where the file states none
 
 
-def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
+def read_labels(path: Path) -> Labels:
     """Read a segmentation: `.seg.nrrd` of 3D Slicer, any label volume, a .zip of one.
 
-    The layers are the segments that are named, in this order; by default all in the order in which the file
-    lists them, or, where it names none, the labels in the order of their values. A label without a name is
-    named by its value.
+    The layers are the segments in the order in which the file lists them, or, where it lists none, the labels
+    in the order of their values.
 
     DataError if it is not a volume, its segments overlap, one is empty or missing, or its values are no
     labels.
     """
     with open_member(path) as place, located(place):
-        if not is_image_file(place):
-            raise DataError("is no label map", expected=EXPECTED_LABELS, fix=SAVE_FIX)
         volume, texts = read_image_file(place, labels=True)
         present = sorted(set().union(*(np.unique(plane).tolist() for plane in volume.values)) - {0.0})
         are_labels = all(0 < value < 2**16 and value.is_integer() for value in present)
@@ -65,7 +54,7 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
                 expected="each voxel in one segment, and voxels in every segment",
                 fix=SAVE_FIX,
             )
-        return Labels(volume, _choose_segments([Segment(int(label), name) for label, name in stated], names))
+        return Labels(volume, {int(label): name for label, name in stated})
 
 
 def _parse_segments(texts: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -75,16 +64,3 @@ def _parse_segments(texts: Mapping[str, str]) -> list[tuple[str, str]]:
         (texts.get(f"Segment{n}_LabelValue", f"{n + 1}").strip(), texts.get(f"Segment{n}_Name", "").strip())
         for n in numbers
     ]
-
-
-def _choose_segments(segments: Sequence[Segment], names: Sequence[str]) -> tuple[Segment, ...]:
-    """Return the segments that are named, in that order; all where none is."""
-    called = {(segment.name or str(segment.value)).casefold(): segment for segment in segments}
-    unknown = [name for name in names if name.casefold() not in called]
-    if unknown or len(set(names)) < len(names):
-        raise DataError(
-            f"holds no segment called {unknown[0]!r}" if unknown else "one segment is named twice",
-            expected=f"names among {', '.join(called)}, from the outside inwards: FILE=segments:NAME,NAME",
-            fix="correct the name",
-        )
-    return tuple(called[name.casefold()] for name in names) or tuple(segments)

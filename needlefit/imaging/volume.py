@@ -1,11 +1,9 @@
 """Define a CT volume: its voxel grid in patient coordinates (LPS, mm) and its values, both checked."""
 
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,6 @@ from needlefit.arrays import Floats, Ints, are_bounded
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.constants import HU, PART
-from needlefit.project.input_files import open_regular
 from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_bytes
 
 # largest number of voxels that are read, 1024^3: 4 GB in memory, unless the user states another number
@@ -91,11 +88,6 @@ def check_grid(grid: VoxelGrid) -> None:
         )
 
 
-def is_tilted(direction: Floats) -> bool:
-    """Return whether the slices of a grid lean over one another, as those of a tilted gantry do."""
-    return bool((np.abs(direction[:, :2].T @ direction[:, 2]) > AXES_COSINE_TOLERANCE).any())
-
-
 def fill_unknown(values: NDArray[Any], *, labels: bool) -> list[str]:
     """Give voxels without a value (NaN) that of air, or of `labels` 0; return a note of how many, and where.
 
@@ -159,12 +151,6 @@ READABLE_VOLUMES = (
 )
 
 
-def begins_as_dicom(path: Path) -> bool:
-    """Return whether a file begins like a DICOM file: with a preamble of 128 bytes, and its name."""
-    with open_regular(path, sys.maxsize) as content:
-        return content.read(132).endswith(b"DICM")
-
-
 @dataclass(frozen=True)
 class Volume:
     """A CT volume; patient coordinates are LPS, mm, whatever its file used.
@@ -219,10 +205,11 @@ class Volume:
 
 
 def turn_slices(volume: Volume) -> Volume:
-    """Return a volume whose longest steps are along k, as scanners' are; itself if they are, or it leans."""
+    """Return a volume whose longest steps are along k, as scanners' are; itself if they are, or k leans."""
     longest = int(np.argmax(volume.spacing))
     ratio = float(volume.spacing[longest] / volume.spacing[2])
-    if ratio < PART.FLATNESS or is_tilted(volume.direction):
+    lean = np.abs(volume.direction[:, :2].T @ volume.direction[:, 2]).max()
+    if ratio < PART.FLATNESS or lean > AXES_COSINE_TOLERANCE:
         return volume
     order = [*np.delete(range(3), longest), longest]
     values = np.ascontiguousarray(volume.values.T.transpose(order).T)
@@ -254,9 +241,9 @@ def sample(volume: Volume, points: Floats) -> Floats:
 def list_voxels_near(volume: Volume, points: ArrayLike, reach: float) -> tuple[Ints, Floats]:
     """Return the voxels (N, 3), i, j, k, of a box within `reach` mm of LPS points, and their values (N,)."""
     index, margin = to_index(volume, points), reach / volume.spacing
-    low = np.maximum(np.floor(index.min(axis=0) - margin), 0).astype(int)
-    high = np.minimum(np.ceil(index.max(axis=0) + margin) + 1, volume.grid.size).astype(int)
-    ijk = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3)
+    ends = np.array([np.floor(index.min(axis=0) - margin), np.ceil(index.max(axis=0) + margin) + 1])
+    low, high = ends.clip(0, volume.grid.size).astype(int)
+    ijk = np.argwhere(np.ones(high - low)) + low
     return ijk, volume.values[tuple(ijk.T[::-1])].astype(np.float64)
 
 

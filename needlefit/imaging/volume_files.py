@@ -11,14 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.imaging.volume import (
-    ARCHIVE_SUFFIX,
-    IMAGE_SUFFIXES,
-    READABLE_VOLUMES,
-    Volume,
-    begins_as_dicom,
-    max_voxels,
-)
+from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES, Volume, max_voxels
 from needlefit.project.folders import MAX_LISTED_FILES
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular, path_exists
 from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process
@@ -61,7 +54,7 @@ def open_member(path: Path, series: str | None = None) -> Iterator[Path]:
     Errors then name the archive. DataError if it is damaged, encrypted or too large, or holds another, or
     several scans.
     """
-    if path.is_dir() or not path.name.lower().endswith(ARCHIVE_SUFFIX):
+    if not path.name.lower().endswith(ARCHIVE_SUFFIX):
         yield path
         return
     with TemporaryDirectory(prefix="needlefit-scan-") as name:
@@ -70,11 +63,8 @@ def open_member(path: Path, series: str | None = None) -> Iterator[Path]:
             read_in_process(f"{__name__}:unpack_scan", path, arguments, seconds=READ_SECONDS)
             yield _choose_member(Path(name), series)
         except DataError as error:
-            texts = {
-                key: text.replace(f"{name}/", f"{path}, ").replace(name, str(path))
-                for key, text in vars(error).items()
-            }
-            raise DataError(**texts | {"where": texts["where"] or str(path)}) from None
+            what, where = (text.replace(name, str(path)) for text in (error.what, error.where))
+            raise error.replace(what=what, where=where or path) from None
 
 
 def unpack_scan(_arrays: Arrays, path: str, folder: str, total_bytes: int) -> None:
@@ -131,9 +121,15 @@ def list_series_files(path: Path) -> list[Path]:
     return sorted(file for file in path.parent.iterdir() if is_file(file) and file.name[0] != ".")
 
 
+def begins_as_dicom(path: Path) -> bool:
+    """Return whether a file begins like a DICOM file: with a preamble of 128 bytes, and its name."""
+    with open_regular(path, sys.maxsize) as content:
+        return content.read(132).endswith(b"DICM")
+
+
 def is_image_file(place: Path) -> bool:
     """Return whether a path is, by its name, an image file rather than DICOM."""
-    return not place.is_dir() and place.name.lower().endswith(IMAGE_SUFFIXES)
+    return place.name.lower().endswith(IMAGE_SUFFIXES)
 
 
 def read_image_file(path: Path, labels: bool = False) -> tuple[Volume, dict[str, str]]:

@@ -13,7 +13,7 @@ class ScanFiles:
 
     markers: Path | None = None  # known places of the markers in the world
     fiducials: Path | None = None  # the markers as placed in the scan by hand
-    # Each as in a table of scans: FILE, FILE=sheet:2, FILE=solid:3 or FILE=segments:NAME,NAME.
+    # Each as in a table of scans: FILE, FILE=sheet:2 or FILE=solid:3.
     layers: tuple[str, ...] = ()
     layers_in: SurfaceFrame = "world"  # frame of meshes
     mask: Path | None = None  # the needle's voxels, segmented elsewhere

@@ -41,7 +41,7 @@ def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]
     away = _distance(~core, spacing)[tuple(((voxels - low) // every).T)]
     mask[tuple((voxels - low)[away <= 1.5 * radius + every * step].T)] = False
     left = list_bright_voxels(mask.T.astype(np.float32), 0.5)
-    return [part + low for part in left.list_parts(0.5, corners=True)]
+    return [part + low for part in left.list_parts(0.5)]
 
 
 def _distance(mask: NDArray[np.bool_], spacing: Floats) -> NDArray[np.float32]:
@@ -154,7 +154,7 @@ def find_components(volume: Volume, low: float, high: float) -> list[Component]:
     """
     parts = [
         measure_component(volume, ijk)
-        for ijk in volume.list_bright(low).list_parts(low, (FEWEST, np.inf), corners=True)
+        for ijk in volume.list_bright(low).list_parts(low, (FEWEST, np.inf))
         if np.any(volume.values[tuple(ijk.T[::-1])] > high)
     ]
     if not parts:
