@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from pydantic import (
     AfterValidator,
+    BeforeValidator,
     Field,
     NonNegativeFloat,
     PositiveInt,
@@ -166,7 +167,7 @@ def _parse_layers(text: str, info: ValidationInfo) -> tuple[LayerSource, ...]:
 
 Id = Annotated[str, AfterValidator(_require_id)]
 InputFile = Annotated[Any, AfterValidator(_locate)]
-Side = Annotated[Literal["1", "-1"], AfterValidator(int)]
+Side = Annotated[Literal["1", "-1"], BeforeValidator(lambda text: f"{float(text):g}"), AfterValidator(int)]
 Vector = tuple[float, float, float]
 Stage = tuple[float, float, float, float, float, float, NonNegativeFloat, NonNegativeFloat]
 
