@@ -117,7 +117,6 @@ def test_a_file_in_ras_is_turned_and_one_without_a_system_refused(file):
         (lambda one, points: points["ball 1"].update(label="marker"), "marker"),
         (lambda one, points: one.update(name="F"), "`F`"),
         (lambda one, points: one.update(type="Curve"), "Curve"),
-        (shift("axis 1", "axis 2"), "2 points"),
         (
             lambda one, points: [
                 points[name].update(label="tip", description="") for name in ("ball 1", "ball 2")

@@ -67,6 +67,7 @@ def make_entry_frame(origin: ArrayLike, direction: ArrayLike, toward: ArrayLike)
         raise DataError(
             "the bending direction is parallel to the entry direction",
             expected="a direction across the needle",
+            fix="point the bevel (bevel_x, bevel_y, bevel_z) there, or do not state it",
         )
     y = normalize(normal)
     return Frame(np.asarray(origin, dtype=np.float64), np.column_stack([x, y, np.cross(x, y)]))

@@ -25,7 +25,7 @@ from needlefit.imaging.reconstruction import CurvePicture, Reconstruction
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume, explain_refusal
 from needlefit.imaging.volume_files import read_volume
-from needlefit.project.callbacks import Progress, Stop, never_stop, no_progress
+from needlefit.project.callbacks import Note, Progress, Stop, never_stop, no_progress
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
 from needlefit.project.processes import one_thread
 from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool
@@ -154,7 +154,7 @@ def reconstruct_needles(
     return tuple(results)
 
 
-def _reconstruct_needle(search: VolumeSearch, scan: Scan, report: Callable[[str], None]) -> Result:
+def _reconstruct_needle(search: VolumeSearch, scan: Scan, report: Note) -> Result:
     found = Examination(scan)
     try:
         with located(scan.volume):

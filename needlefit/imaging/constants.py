@@ -96,7 +96,6 @@ class MM:
     LEAST_SLICE_BLUR = 0.2  # of scanners, across slices
     STREAK_RADIUS = 0.8  # deviation of a streak across [R]
     TIP_DOUBT = 0.3  # deviation of the tip along, or along the slices' normal, that is spoken of
-    DEPTH_SD = 2.0  # of the inserted length, beyond which a scan is refused
 
 
 class PART:

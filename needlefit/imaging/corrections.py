@@ -15,7 +15,6 @@ from needlefit.arrays import Floats
 from needlefit.datasets.formats.markups import Markups, read_markups
 from needlefit.errors import DataError, located
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.imaging.needle.follow import MIN_POINTS
 from needlefit.imaging.reconstruction import MarkerResult, Reconstruction
 from needlefit.imaging.scans import Corrections, Scan
 
@@ -106,12 +105,6 @@ def _parse_corrections(markups: Markups) -> Corrections:
     before = np.array([match.groups() if match else (np.nan,) * 3 for match in stated], dtype=np.float64)
     moved = ~(np.linalg.norm(markups.points - before, axis=1) <= MIN_MOVE_MM)  # what was added, too
     places = {name: markups.points[(names == name) & moved] for name in KINDS}
-    if 0 < len(places["axis"]) < MIN_POINTS:
-        raise DataError(
-            f"{len(places['axis'])} points of the axis were moved",
-            expected=f"{MIN_POINTS} or more: the needle is then followed along these alone",
-            fix="move more of them onto the needle, or move these back",
-        )
     for name in ("tip", "entry"):
         if len(places[name]) > 1:
             raise DataError(

@@ -6,7 +6,7 @@ Reconstruct one scan step by step; what was found is kept, for the picture of a 
 layers that cannot be right, and list warnings for the user.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -58,6 +58,7 @@ from needlefit.imaging.reconstruction import (
 from needlefit.imaging.registration import Registration, predict_mean_target_error, register
 from needlefit.imaging.scans import Corrections, Scan
 from needlefit.imaging.volume import Volume, VoxelGrid, doubt_air, require_hounsfield, turn_slices
+from needlefit.project.callbacks import Note, no_note
 from needlefit.project.unit_warnings import MIN_DEPTH_MM
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -65,20 +66,8 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 def collect_warnings(result: Reconstruction) -> Iterator[str]:
     """Yield the warnings about a reconstruction, the most important first: its tip.
 
-    DataError if the inserted length is not known to `MM.DEPTH_SD`, or a finding contradicts what is stated.
+    DataError if what the scan shows contradicts what is stated.
     """
-    if result.depth_sd > MM.DEPTH_SD:
-        tip, entry = float(result.needle_axis.tip_sd[0]), result.pose.along_sd
-        raise DataError(
-            f"the inserted length is known to ± {result.depth_sd:.2g} mm only (tip "
-            f"{tip:.2g}, entry {entry:.2g})",
-            expected=f"± {MM.DEPTH_SD:g} mm or less",
-            fix=(
-                "state the stage or the tissue's own surface (into = 1) if the entry is not "
-                "known; if the tip is not, scan it away from other metal, or with thinner "
-                "slices"
-            ),
-        )
     yield from list_tip_warnings(result)
     if result.registration is not None:
         yield from result.registration.warnings
@@ -250,10 +239,6 @@ STAGES = {
     "pictures": 87,
     "quality page": 90,
 }
-
-
-def tell_nobody(_stage: str) -> None:
-    """Report no stage."""
 
 
 @dataclass
@@ -451,15 +436,13 @@ def derive_reconstruction(
 def picture_curve(volume: Volume, curve: Floats, entries: Floats) -> CurvePicture:
     """Return pictures of a scan that was refused along a curve (N, 3), LPS, mm, with the `entries` (M, 3)."""
     center, axes = principal_axes(curve)
-    forward = axes[0] * np.sign(axes[0] @ (curve[-1] - curve[0]) or 1.0)
-    frame = Frame(center, np.stack([forward, axes[1], np.cross(forward, axes[1])], axis=1))
+    forward = np.sign(axes[0] @ (curve[-1] - curve[0]) or 1.0)
+    frame = make_entry_frame(center, forward * axes[0], axes[1])
     views = render_views(volume, IDENTITY_FRAME, frame, curve)
     return CurvePicture(views, frame.to_local(curve), frame.to_local(entries)[:, 0])
 
 
-def examine(
-    found: Examination, search: VolumeSearch, report: Callable[[str], None] = tell_nobody
-) -> Reconstruction:
+def examine(found: Examination, search: VolumeSearch, report: Note = no_note) -> Reconstruction:
     """Reconstruct the needle of a scan in the volume that is searched; keep in `found` what the steps find.
 
     `report` is called with the names of `STAGES`. DataError: whatever keeps a scan from being reconstructed.

@@ -171,7 +171,6 @@ def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike
     """
     local = frame.to_local(patient.to_world(needle))
     local = local[np.argsort(local[:, 0])]
-    turned = Frame(patient.to_local(frame.origin[None])[0], patient.rotation.T @ frame.rotation)
     before, margin = 35.0, 10.0  # mm that are shown before the entry, and beyond the tip and to the sides
     # along the third axis a picture is averaged, mm: the slab holds the needle whole, and its mean quiets the
     # noise so that layers show
@@ -180,12 +179,10 @@ def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike
     right, shown, views = columns[:-1] + PLANE_SPACING_MM / 2, local[local[:, 0] >= -before], []
     for up, through in ((1, 2), (2, 1)):
         rows = np.arange(shown[:, up].min() - margin, shown[:, up].max() + margin, PLANE_SPACING_MM)
-        points = np.empty((len(rows) - 1, len(right), len(slab), 3))
-        points[..., 0] = right[None, :, None]
-        points[..., up] = rows[:-1, None, None] + PLANE_SPACING_MM / 2
-        middle = np.interp(right, local[:, 0], local[:, through])
-        points[..., through] = middle[None, :, None] + slab
-        mean = sample(volume, turned.to_world(points)).mean(axis=2)
+        x, height, off = np.meshgrid(right, rows[:-1] + PLANE_SPACING_MM / 2, slab)
+        sides = {up: height, through: np.interp(x, *local[:, [0, through]].T) + off}
+        points = np.stack([x, sides[1], sides[2]], axis=-1)
+        mean = sample(volume, patient.to_local(frame.to_world(points))).mean(axis=2)
         extent = columns[0], columns[-1], rows[0], rows[-1]
         views.append(ScanView(("x", "xyz"[up]), mean, extent))
     return tuple(views)

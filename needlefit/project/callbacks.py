@@ -7,7 +7,8 @@ Step = Callable[[int, int], None]  # called with how much is done, of how much
 Stop = Callable[[], bool]
 
 Note = Callable[[str], None]
-"""Given a line that the user should read, and that is no result: what was damaged and computed again."""
+"""Given a line that the user should read, and that is no result: what was damaged and computed again; or the
+stage that begins."""
 
 
 def no_progress(_what: str, _done: int, _of: int) -> None:

@@ -56,8 +56,8 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
     if len(points) < MIN_POINTS:
         raise DataError(
             f"{len(points)} points are on the needle",
-            expected=f"at least {MIN_POINTS}, from end to end",
-            fix="place more points on the needle",
+            expected=f"at least {MIN_POINTS}, from end to end: it is followed along these alone",
+            fix="place more points on the needle, or move those of --corrections back",
             where="points on the needle",
         )
     center, axes = principal_axes(points)
