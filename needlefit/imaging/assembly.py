@@ -1,7 +1,7 @@
 """Write reconstructions as a dataset, without those that `needlefit check` would refuse."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -46,7 +46,7 @@ class DatasetDescription:
     truth_seed: int | None = None
     truth_population: bool = False
     notes: str = ""
-    media: Mapping[str, str] | None = None
+    media: Mapping[str, str] = field(default_factory=dict)
 
 
 def assemble_dataset(
@@ -67,7 +67,7 @@ def assemble_dataset(
     records: dict[str, DatasetMediumRecord] = {}
     surfaces: dict[str, Surface] = {}
     for name, group in media.items():
-        records[name], files = _medium_record(name, group, (description.media or {}).get(name, ""))
+        records[name], files = _medium_record(name, group, description.media.get(name, ""))
         # `a` with `b_c` and `a_b` with `c` both make `a_b_c`
         if both := sorted(files.keys() & surfaces.keys()):
             raise DataError(
@@ -185,13 +185,14 @@ def _medium_record(
         own = [make_id(surface.name.removeprefix(f"{name}_"), "surface") for surface in first]
         alike = len({stem.lower() for stem in own}) < len(own)
         stems = [f"{name}_{stem}" + f"_{n}" * alike for n, stem in enumerate(own, start=1)]
-    names = [f"layers/{stem}.stl" for stem in stems]
-    listed = zip(names, first, strict=True)
-    records = tuple(SurfaceRecord(file=file, kind=one.kind, into=one.into) for file, one in listed)
-    files = {
-        file.replace("{id}", one.scan.id): surface
-        for one in (group[:1] if shared else group)
-        for file, surface in zip(names, one.layers.surfaces, strict=True)
+    records = tuple(
+        SurfaceRecord(file=f"layers/{stem}.stl", kind=surface.kind, into=surface.into)
+        for stem, surface in zip(stems, first, strict=True)
+    )
+    files = {  # of those that all share each time the same
+        record.file.replace("{id}", one.scan.id): surface
+        for one in group
+        for record, surface in zip(records, one.layers.surfaces, strict=True)
     }
     return DatasetMediumRecord(surfaces=records, note=note), files
 

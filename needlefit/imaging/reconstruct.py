@@ -104,16 +104,6 @@ def list_tip_warnings(result: Reconstruction) -> Iterator[str]:
             "needle.bevel_deg: the "
             "tip was fitted with the angle that the image shows; correct the recipe"
         )
-    excess = result.profile.core - result.profile.around
-    from_tip = result.profile.s - result.depth
-    shaft = excess[(from_tip > -MM.HIDDEN) & (from_tip < -MM.BLUR_REACH)]
-    if np.isfinite(shaft).any():
-        bright = (from_tip > MM.BLUR_REACH) & (excess > np.nanmedian(shaft) / 2)
-        if bright.any():
-            yield (
-                f"{from_tip[bright][0]:.1f} mm beyond the tip found, on the needle's axis, something is as "
-                "bright as the needle: rays may hide a part of it, and the tip lie further on; look at it"
-            )
 
 
 def _entry_warnings(one: Reconstruction) -> Iterator[str]:
