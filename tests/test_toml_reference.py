@@ -44,4 +44,4 @@ def test_every_key_of_a_file_is_explained():
 
 def test_the_tables_of_a_reconstruction_are_explained():
     (passed,) = find_topics("passed.csv")
-    assert any(line.startswith("- level_hu: ") for line in passed.paragraphs) and find_topics("crossings.csv")
+    assert any(line.startswith("- level_hu: ") for line in passed.paragraphs) and find_topics("refused.csv")
