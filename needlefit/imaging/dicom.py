@@ -8,7 +8,6 @@ SimpleITK would refuse these, and make up the places of missing slices: it unpac
 
 import math
 import sys
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,7 +63,6 @@ NUMBERS = {
     "RescaleIntercept": 1,
 }  # entries that are numbers, and the count of each
 SHARED_NUMBERS = ("Rows", "Columns", "ImageOrientationPatient", "PixelSpacing")  # of all slices of a stack
-sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +117,7 @@ def read_header(file: Path) -> DicomSlice | None:
     DataError if it is named as a DICOM file and is none, or its header is cut short.
     """
     try:
-        with open_regular(file, sys.maxsize) as content, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what pydicom doubts and we use is checked here
+        with open_regular(file, sys.maxsize) as content:
             data = pydicom.dcmread(content, stop_before_pixels=True)
             stated = UID(str(data.file_meta.get("MediaStorageSOPClassUID", "")))
             if stated.name != stated and "Image Storage" not in stated.name:

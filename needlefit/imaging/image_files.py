@@ -27,8 +27,6 @@ READER_ERRORS = (ImageFileError, HeaderDataError, ValueError, AssertionError, Ru
 # What reads a file's voxels (K, J, I), its grid, the bytes of a voxel, and texts of its header by their keys.
 Image = tuple[Callable[[], NDArray[Any]], VoxelGrid, int, dict[str, str]]
 
-sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
-
 
 def read_image(arrays: Arrays, path: str, labels: bool = False) -> dict[str, Any]:
     """Read an image file: add "values" and "grid" to the arrays; return warnings, and texts of the header.
@@ -80,8 +78,7 @@ def _open_nifti(file: Path) -> Image:
     affine = RAS_TO_LPS.rotation @ image.affine[:3]
     columns, rows, slices = shape
     spacing = np.linalg.norm(affine[:, :3], axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):  # what this leaves `check_grid` refuses
-        grid = VoxelGrid((columns, rows, slices), affine[:, 3], spacing, affine[:, :3] / spacing)
+    grid = VoxelGrid((columns, rows, slices), affine[:, 3], spacing, affine[:, :3] / spacing)
     corners = np.array([[0, 0, 0, 1], [columns, 0, 0, 1], [0, rows, 0, 1]]).T  # of a slice: no qform leans
     other = header.get_qform() if header["qform_code"] else image.affine  # which is that of the sform, if any
     apart = np.linalg.norm(((image.affine - other) @ corners)[:3], axis=0).max()

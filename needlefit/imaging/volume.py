@@ -75,9 +75,9 @@ def check_grid(grid: VoxelGrid) -> None:
             expected="{:g} to {:g} mm".format(*SPACINGS_MM),
             fix="check in which unit the spacing was written; it must be mm",
         )
-    off = np.abs(grid.direction.T @ grid.direction - np.eye(3))
-    lean, off[:2, 2], off[2, :2] = np.hypot(*off[:2, 2]), 0.0, 0.0
-    if off.max() > AXES_COSINE_TOLERANCE or lean > np.sin(np.radians(MAX_TILT_DEG)):
+    flat, upright = grid.direction[:, :2], grid.direction[:, 2]
+    skew, lean = np.abs(flat.T @ flat - np.eye(2)).max(), np.hypot(*(upright @ flat))
+    if skew > AXES_COSINE_TOLERANCE or lean > np.sin(np.radians(MAX_TILT_DEG)):
         raise DataError(
             "the axes of the voxels are not perpendicular unit vectors: "
             f"{grid.direction.T.round(4).tolist()}",

@@ -33,7 +33,6 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
     DataError if there is no such volume, or its geometry cannot be trusted; nothing is guessed. ConfigError
     if the packages that read scans are not installed.
     """
-    path = Path(path)
     if not path_exists(path):
         problem = "there is no such file or folder"
         raise DataError(problem, expected=READABLE_VOLUMES, fix="check the path", where=path)
