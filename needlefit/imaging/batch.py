@@ -15,13 +15,13 @@ import numpy as np
 
 from needlefit.datasets.formats.markups import Markups
 from needlefit.errors import DataError, NeedlefitError, located
-from needlefit.geometry.curves import interpolate_at_arc
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.imaging.constants import PART
 from needlefit.imaging.corrections import make_control_points
 from needlefit.imaging.needle.follow import list_middles
 from needlefit.imaging.needle.segmentation import list_needles
-from needlefit.imaging.reconstruct import STAGES, Examination, VolumeSearch, examine, picture_curve
-from needlefit.imaging.reconstruction import CurvePicture, Reconstruction
+from needlefit.imaging.reconstruct import STAGES, Examination, VolumeSearch, examine
+from needlefit.imaging.reconstruction import CurvePicture, Reconstruction, picture_curve
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume, explain_refusal
 from needlefit.imaging.volume_files import read_volume
@@ -171,14 +171,14 @@ def _describe_failure(volume: Volume, found: Examination, error: NeedlefitError)
     if needle is not None:
         entries = interpolate_at_arc(needle, [answer.at for answer in answers])
         picture = picture_curve(volume, needle, entries)
-        places = {"tip": needle[-1]}
-        for n, (answer, point) in enumerate(zip(answers, entries, strict=True), start=1):
-            faces = interpolate_at_arc(needle, answer.guide or ())
-            labels = f"guide {n} begins", f"guide {n} ends"
-            places |= {f"entry {n}": point, **dict(zip(labels, faces, strict=False))}
+        along = {"tip": float(arc_length(needle)[-1])}
+        for n, answer in enumerate(answers, start=1):
+            along[f"entry {n}"] = answer.at
+            if answer.guide is not None:
+                along[f"guide {n} begins"], along[f"guide {n} ends"] = answer.guide
         if answers:
-            points = np.array([*places.values()])
-            listed = Markups(Path(scan.id), f"{scan.id} entries", "Fiducial", tuple(places), points)
+            points = interpolate_at_arc(needle, [*along.values()])
+            listed = Markups(Path(scan.id), f"{scan.id} entries", "Fiducial", tuple(along), points)
     return ReconstructionFailure(
         scan,
         explain_refusal(error, volume),

@@ -65,17 +65,14 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
     `exclude`: (N, 3); voxels i, j, k of the needle, never a marker.
     """
     rules = recipe.markers
-    diameter, given = rules.diameter_mm, rules.threshold_hu
-    levels = [] if given is None else [given]
-    if not levels:  # levels up to the brightest voxel
-        start, top = volume.tissue, float(volume.values.max())
-        number = int(np.log(max((top - start) / HU.METAL_CONTRAST, 1.0)) / np.log(LEVEL_RATIO)) + 1
-        levels = [start + HU.METAL_CONTRAST * LEVEL_RATIO**n for n in range(number)]
-    listed = volume.list_bright(levels[0])
-    wanted = _voxel_count(volume, PART.BALL_DIAMETERS[0] * diameter)
-    counts = [np.count_nonzero(listed.values > level) for level in levels]
+    diameter, levels = rules.diameter_mm, np.array([rules.threshold_hu], dtype=np.float64)
+    if rules.threshold_hu is None:  # levels up to the brightest voxel
+        height = max((float(volume.values.max()) - volume.tissue) / HU.METAL_CONTRAST, 1.0)
+        steps = np.arange(1 + np.log(height) // np.log(LEVEL_RATIO))
+        levels = volume.tissue + HU.METAL_CONTRAST * LEVEL_RATIO**steps
+    listed = volume.list_bright(float(levels[0]))
     shown = [
-        level for level, count in zip(levels, counts, strict=True) if wanted <= count <= MAX_LISTED_VOXELS
+        level for level in levels.tolist() if np.count_nonzero(listed.values > level) <= MAX_LISTED_VOXELS
     ]
     tried: list[Floats] = []
     balls: list[SphereFit] = []

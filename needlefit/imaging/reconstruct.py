@@ -1,9 +1,8 @@
-"""Detect the needle's axis, the markers, their registration and the brightness profile in a volume.
+"""Reconstruct the needle of one scan, step by step.
 
-Derive a reconstruction from what was detected: centreline in the world, entry pose, layers crossed.
-
-Reconstruct one scan step by step; what was found is kept, for the picture of a scan that is refused. Refuse
-layers that cannot be right, and list warnings for the user.
+`examine` detects the needle's axis, the markers, their registration and the brightness along the needle;
+`derive_reconstruction` finds from these the centreline in the world, the entry pose and the layers crossed;
+`collect_warnings` lists what a person should know. What was found is kept, for the picture of a refused scan.
 """
 
 from collections.abc import Iterator, Sequence
@@ -45,9 +44,8 @@ from needlefit.imaging.needle.follow import (
     read_mask_points,
     select_axis_voxels,
 )
-from needlefit.imaging.needle.segmentation import Component, find_tubes, principal_axes, select_needle
+from needlefit.imaging.needle.segmentation import Component, find_tubes, select_needle
 from needlefit.imaging.reconstruction import (
-    CurvePicture,
     EntryPose,
     IntensityProfile,
     Layers,
@@ -421,15 +419,6 @@ def derive_reconstruction(
         guide=found.guide and (found.guide[0] - begin, found.guide[1] - begin),
         confirmed=found.confirmed,
     )
-
-
-def picture_curve(volume: Volume, curve: Floats, entries: Floats) -> CurvePicture:
-    """Return pictures of a scan that was refused along a curve (N, 3), LPS, mm, with the `entries` (M, 3)."""
-    center, axes = principal_axes(curve)
-    forward = np.sign(axes[0] @ (curve[-1] - curve[0]) or 1.0)
-    frame = make_entry_frame(center, forward * axes[0], axes[1])
-    views = render_views(volume, IDENTITY_FRAME, frame, curve)
-    return CurvePicture(views, frame.to_local(curve), frame.to_local(entries)[:, 0])
 
 
 def examine(found: Examination, search: VolumeSearch, report: Note = no_note) -> Reconstruction:

@@ -8,11 +8,12 @@ from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.geometry.frames import Frame
+from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.needle.axis_spline import PLANE_SPACING_MM
 from needlefit.imaging.needle.centerline import Centerline
+from needlefit.imaging.needle.segmentation import principal_axes
 from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.registration import Registration
 from needlefit.imaging.scans import Scan
@@ -186,3 +187,12 @@ def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike
         extent = columns[0], columns[-1], rows[0], rows[-1]
         views.append(ScanView(("x", "xyz"[up]), mean, extent))
     return tuple(views)
+
+
+def picture_curve(volume: Volume, curve: Floats, entries: Floats) -> CurvePicture:
+    """Return pictures of a scan that was refused along a curve (N, 3), LPS, mm, with the `entries` (M, 3)."""
+    center, axes = principal_axes(curve)
+    forward = np.sign(axes[0] @ (curve[-1] - curve[0]) or 1.0)
+    frame = make_entry_frame(center, forward * axes[0], axes[1])
+    views = render_views(volume, IDENTITY_FRAME, frame, curve)
+    return CurvePicture(views, frame.to_local(curve), frame.to_local(entries)[:, 0])
