@@ -23,6 +23,7 @@ from needlefit.imaging.entry import (
     find_entry_arc_length,
     pose_from_shaft,
 )
+from needlefit.imaging.materials import list_materials
 from needlefit.imaging.reconstruct import Examination, VolumeSearch, examine
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
 from needlefit.imaging.scans import Corrections, LayerSource, Scan
@@ -117,7 +118,7 @@ def profile(*edges, width=0.5, noise=3.0, seed=1, s=S):
 
 
 def choose(shown, thickness=None, distance=None):
-    return choose_entry(shown, TIP, thickness, distance)
+    return choose_entry(list_materials(shown, TIP, thickness), TIP, thickness, distance)
 
 
 def test_a_plate_is_passed_by_its_stated_thickness_and_asked_for_where_it_is_not_stated():

@@ -12,7 +12,7 @@ from synthetic.design import Phantom
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import make_entry_frame
-from needlefit.imaging.materials import find_rises, sample_profile
+from needlefit.imaging.materials import find_faces, list_materials, sample_profile
 from needlefit.imaging.reconstruction import IntensityProfile
 from needlefit.imaging.volume import require_hounsfield
 
@@ -26,8 +26,8 @@ def edge(at, width=0.6, tissue=40.0, noise=5.0, seed=1):
 
 
 def found(around):
-    rises = find_rises(IntensityProfile(S, np.full(len(S), 3000.0), around))
-    return rises[-1][1:] if rises else None
+    faces = find_faces(list_materials(IntensityProfile(S, np.full(len(S), 3000.0), around), S[-1]))
+    return (faces[-1].begin, faces[-1].sd) if faces else None
 
 
 # the edge of the tissue
@@ -69,9 +69,9 @@ def test_a_face_is_found_where_the_needle_passes_however_it_slants(tilt):
     volume = render_scan(scene, Scanner(cases.grid(), noise_hu=50.0), np.random.default_rng(4))
     s = np.arange(-11.0, 20.0, 0.5)
     shown = sample_profile(volume, cases.ENTRY + np.outer(s, [0, 0, 1]), s)
-    _, place, sd = find_rises(shown)[-1]
-    assert abs(place) < max(0.08, 2.5 * sd)
-    assert sd < 0.12
+    face = find_faces(list_materials(shown, 20.0))[-1]
+    assert abs(face.begin) < max(0.08, 2.5 * face.sd)
+    assert face.sd < 0.12
 
 
 # pictures

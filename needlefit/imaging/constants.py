@@ -44,7 +44,7 @@ class HU:
     # Fat to connective tissue (Schneider 2000, doi:10.1088/0031-9155/45/2/314), near metal darker
     SOFT_TISSUE = (-150.0, 100.0)
     GUIDE_STEP = 50.0  # change behind a guide as bright as tissue; layers of gels differ by less
-    STEP = 20.0  # least change inside soft material, and of air in a narrow gap from its level [R]
+    STEP = 20.0  # least change that begins another material, and of air in a narrow gap from its level [R]
     METAL = 1000.0  # bone of a hand is darker, metal and glass are brighter
     METAL_CONTRAST = METAL / 2  # half of the way from tissue to metal, or from air to tissue: as edges show
     HUB = 1500.0  # of a metal hub, least [S]
@@ -58,11 +58,11 @@ class MM:
     PATCH = 2.4  # radius of what is looked at around the needle: its blur ends there, and segments spare it
     KNOT = 7.5  # of the axis: needles in gels bend over longer lengths [R]
     RING = (3.5, 6.0)  # of the surroundings: beyond bloom, within the nearest marker as a rule
-    # Where blur shows, four deviations of a wide one: shorter runs of material are blur, air in gaps of twice
-    # that has no level, and a streak beyond the tip fades; edges are fitted over four times that
+    # Where blur shows, four deviations of a wide one: a streak beyond the tip fades there; over twice that to
+    # either side edges are fitted, and air in narrower gaps has no level
     BLUR_REACH = 2.0
-    # Within which voxels show one thing: air between soft runs is longer, the shaft outside begins there, and
-    # a tip this near to the volume's face may lie outside
+    # Within which voxels show one thing: of two changes the larger counts, the shaft outside begins there,
+    # and a tip this near to the volume's face may lie outside
     BLUR_CORE = BLUR_REACH / 2
     # Within which the blur of an edge shows: thinner guides show no step, a needle is faint, a base this near
     # to the volume's face, or a tip along its course, has left it, and so far behind its bevel its tip is
@@ -73,7 +73,7 @@ class MM:
     REACH = 80.0  # along the needle to the tissue's surface, or to a hub
     # Of what a scanner shows of an end, which the model does not: of a tip, across it, and of a guide's faces
     MODEL_SD = 0.05  # [R] [G]
-    # Of a face that streaks of metal, or a film of air behind it, may hide, and of a thin guide's end [G]
+    # Of a face of metal, and of the end of a guide that is not stated, which a film of air may move [G]
     HIDDEN_FACE_SD = 0.15
     # To either side of an edge: within it a place, or a thickness, is the one that is stated, or seen
     # otherwise, and the blur of air or metal shows

@@ -9,7 +9,7 @@ Where the tissue begins is chosen among the places where air turns into soft mat
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise, takewhile
+from itertools import takewhile
 
 import numpy as np
 
@@ -21,11 +21,10 @@ from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.shaft import fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.constants import HU, MM, PART
-from needlefit.imaging.materials import find_rises, find_runs, list_materials
-from needlefit.imaging.reconstruction import EntryPose, IntensityProfile, MaterialRun
+from needlefit.imaging.materials import find_faces
+from needlefit.imaging.reconstruction import EntryPose, MaterialRun
 from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import StagePose
-from needlefit.imaging.volume import find_cuts
 
 # smallest difference of the stage's axis and the shaft's, in deviations, at which they are not one needle's
 MAX_AXIS_DISAGREEMENT_SD = 10.0
@@ -182,53 +181,49 @@ class EntryCandidate:
 
 
 def choose_entry(
-    profile: IntensityProfile, tip: float, guide_thickness: float | None, guide_distance: float | None
+    runs: Sequence[MaterialRun], tip: float, guide_thickness: float | None, guide_distance: float | None
 ) -> EntryCandidate | None:
     """Return where the needle enters the tissue; None if nothing shows it.
 
     It has a doubt, and answers, if what is stated does not decide between several places, or the scan does
     not show it.
 
-    `tip`: where it is, mm along the needle. `guide_thickness`: along the needle, mm; 0: no guide.
-    `guide_distance`: from the guide to the entry, mm.
+    `runs`: what the needle passes. `tip`: where it is, mm along the needle. `guide_thickness`: along the
+    needle, mm; 0: no guide. `guide_distance`: from the guide to the entry, mm.
     """
-    least = min(MM.BLUR_REACH, (guide_thickness or np.inf) / 2)
-    runs, rises = find_runs(profile, least), find_rises(profile, least)
-    faces = [EntryCandidate(at, sd) for _, at, sd in rises]
+    soft = find_faces(runs)
+    faces = [EntryCandidate(run.begin, run.sd) for run in soft]
     if faces and guide_thickness == 0:
         return faces[0]
-    metal = _list_behind_metal(profile, runs, guide_thickness, guide_distance or 0.0)
-    soft = [run for run in list_materials(profile, tip) if run.kind == "soft"]
-    if not faces and not metal:
+    distance = guide_distance or 0.0
+    behind = _list_behind_guides(runs, None, distance)
+    if not faces and not behind:
         return None
     if guide_thickness is None:
-        offered, doubt = _choose_face(faces, soft) if faces else (metal[-1], "the needle leaves metal")
-        if not doubt:
-            return offered
-        first = next(((one, run) for one in faces for run in soft if run.begin <= one.at < run.end), None)
-        behind = []
-        if first is not None:  # a film of air that does not show moves the step where a guide ends
-            length = first[1].end - first[0].at
-            behind = [_pass_guide(first[0], length, 0.0, MM.HIDDEN_FACE_SD)]
-        others = [*faces, *behind, *metal]
+        if len(faces) == 1 and is_soft_tissue(soft[0].level):
+            return faces[0]
+        offered, others = (faces or behind)[-1], [*faces, *behind]
+        first = f"{soft[0].length:.1f} mm of {soft[0].level:.0f} HU" if soft else "metal"
+        doubt = f"the needle first enters {first}, which may be a guide"
+        if len(faces) > 1:
+            doubt = f"the needle enters soft material {len(faces)} times, of which one may be a guide"
         expected = "soft tissue ({:g} to {:g} HU) behind air".format(*HU.SOFT_TISSUE)
         fix = "state guide.thickness_mm in the recipe (mm; 0: there is no guide, and the first is the tissue)"
     else:
-        whole = _list_behind_guide(runs, rises, guide_thickness)
-        whole += [one for one in metal if one.guide and abs(np.diff(one.guide)[0] - guide_thickness) < 1e-9]
-        flush = [  # what lies before metal is its blur, or a streak
-            _pass_guide(face, guide_thickness, guide_distance or 0.0)
-            for face, (n, *_) in zip(faces, rises, strict=True)
-            if all(run.kind != "metal" for run in runs[n + 1 : n + 2])
+        matching = _list_behind_guides(runs, guide_thickness, distance)
+        if len(matching) == 1:
+            return matching[0]
+        hidden = [  # behind a guide that looks as the tissue does
+            EntryCandidate(
+                face.at + guide_thickness + distance,
+                float(np.hypot(face.sd, MM.MODEL_SD)),
+                (face.at, face.at + guide_thickness),
+            )
+            for face in faces
         ]
-        ends = [(one, _doubt_guide_end(profile, one, soft)) for one in flush]
-        ended = [replace(one, sd=float(np.hypot(one.sd, sd))) for one, sd in ends if sd is not None]
-        found = whole or ended
-        if len(found) == 1:
-            return found[0]
-        offered = (found or (flush if len(faces) == 1 else faces) or metal or faces)[-1]
-        others = [*found, *flush, *faces, *metal]
-        show = f"{len(found)} guides of {guide_thickness:g} mm show" if found else ""
+        offered = (matching or (hidden if len(faces) == 1 else faces) or behind)[-1]
+        others = [*matching, *hidden, *faces, *behind]
+        show = f"{len(matching)} guides of {guide_thickness:g} mm show" if matching else ""
         doubt = f"{show or f'no guide of {guide_thickness:g} mm shows'} along the needle"
         expected = "one solid of that length before the tissue, followed by air or another material"
         fix = "correct guide.thickness_mm (0: the scan shows no guide)"
@@ -252,99 +247,48 @@ def choose_entry(
     return replace(offered, doubt=error, answers=tuple(answers))
 
 
-def _list_behind_metal(
-    profile: IntensityProfile, runs: Sequence[MaterialRun], thickness: float | None, distance: float
+def _list_behind_guides(
+    runs: Sequence[MaterialRun], thickness: float | None, distance: float
 ) -> list[EntryCandidate]:
-    """Return the entries behind metal; one of about the stated thickness has it exactly.
+    """Return the entries behind solids of a thickness, mm; None: behind the first material of each solid.
 
-    Streaks go on beyond its faces, and blur moves both outwards alike: the middle of its brighter part is
-    right. In the streaks air behind it is a dip, at whose end the tissue begins.
+    Behind a solid the tissue begins at the next face, or, if it lies on the tissue, `distance` behind it.
+    Blur moves both faces of metal outwards alike: their middle is right.
     """
-    known, found = np.isfinite(profile.around), list[EntryCandidate]()
-    if not runs:
-        return found
-    first, *_, last = profile.s[known].tolist()
-    s = np.arange(first, last, 0.05)
-    values = np.interp(s, profile.s[known], profile.around[known])
-    for run, behind in pairwise(runs):
-        if (run.kind, behind.kind) != ("metal", "soft"):
+    entries, faces = list[EntryCandidate](), find_faces(runs)
+    for n, first in enumerate(runs):
+        metal = first.kind == "metal"
+        if first.rise < HU.METAL_CONTRAST and (n or not metal):
             continue
-        inside = (s >= run.begin - MM.BLUR_REACH) & (s <= run.end)
-        stations = known & (profile.s >= run.begin) & (profile.s <= run.end)
-        cut = find_cuts(profile.around[stations])[1] < np.inf  # then blur widens it more
-        level = (PART.BRIGHTEST if cut else PART.SHOWN) * values[inside].max()
-        begin, end = s[inside & (values >= level)][[0, -1]].tolist()
-        stated = end - begin if thickness is None else thickness
-        beyond, shown = (some[(s > end) & (s <= behind.end)] for some in (s, values))
-        risen = np.flatnonzero(shown - np.minimum.accumulate(shown) >= HU.METAL_CONTRAST)[:1]
-        if -MM.MATCH <= end - begin - stated <= max(MM.MATCH * (1 + cut), stated * len(risen)):
-            middle = (begin + end) / 2
-            begin, end = middle - stated / 2, middle + stated / 2
-        entry = end + distance  # where it lies on the tissue
-        for n in risen:
-            low = int(np.argmin(shown[: n + 1]))
-            middle = (shown[low] + shown[n:].max()) / 2
-            entry = float(beyond[low + int(np.argmax(shown[low:] >= middle))])
-        found.append(EntryCandidate(entry, MM.HIDDEN_FACE_SD, (begin, end)))
-    return found
-
-
-def _choose_face(faces: Sequence[EntryCandidate], soft: Sequence[MaterialRun]) -> tuple[EntryCandidate, str]:
-    """Return the entry where no guide is stated, and why it is not certain."""
-    if len(faces) > 1:
-        return faces[-1], f"the needle enters soft material {len(faces)} times, of which one may be a guide"
-    first = next((run for run in soft if run.end > faces[0].at), None)
-    if first is None or is_soft_tissue(first.level):
-        return faces[0], ""
-    material = f"{first.length:.1f} mm of {first.level:.0f} HU"
-    return faces[0], f"the needle first enters {material}, which may be a guide"
-
-
-def _pass_guide(
-    face: EntryCandidate, thickness: float, distance: float, end_sd: float = MM.MODEL_SD
-) -> EntryCandidate:
-    """Return the place behind a guide that begins at `face`; `end_sd`: deviation of where it ends, mm."""
-    end = face.at + thickness
-    return EntryCandidate(end + distance, float(np.hypot(face.sd, end_sd)), (face.at, end))
-
-
-def _doubt_guide_end(
-    profile: IntensityProfile, entry: EntryCandidate, soft: Sequence[MaterialRun]
-) -> float | None:
-    """Return how uncertain the scan leaves the end of the guide before an entry, mm; None: it shows no guide.
-
-    What is darker there than the guide and what follows may be a film of air that is too thin to show.
-    """
-    assert entry.guide is not None
-    begin, end = entry.guide
-    behind = [run for run in soft if run.end > begin]
-    for run, after in pairwise(behind):
-        if end - MM.MATCH <= run.end <= entry.at + MM.MATCH:
-            if abs(after.level - run.level) < HU.GUIDE_STEP and is_soft_tissue(behind[0].level):
-                return None
-            near = np.abs(profile.s - run.end) < MM.MATCH
-            film = np.nanmin(profile.around[near]) < min(run.level, after.level) - HU.GUIDE_STEP
-            # both ends err: each by half of what they differ
-            return float(np.hypot((run.end - end) / 2, MM.HIDDEN_FACE_SD * film))
-    # of a thin guide blur leaves no step
-    inside = (profile.s > begin + MM.EDGE_BLUR / 4) & (profile.s < end)
-    beyond = (profile.s > end + MM.EDGE_BLUR / 4) & (profile.s < end + MM.EDGE_BLUR)
-    if end - begin > MM.EDGE_BLUR or not inside.any() or not beyond.any():
-        return None
-    change = np.nanmedian(profile.around[inside]) - np.nanmedian(profile.around[beyond])
-    return MM.HIDDEN_FACE_SD if abs(change) >= HU.GUIDE_STEP else None
-
-
-def _list_behind_guide(
-    runs: Sequence[MaterialRun], rises: Sequence[tuple[int, float, float]], thickness: float
-) -> list[EntryCandidate]:
-    """Return the entries with a guide and air before them."""
-    entries = list[EntryCandidate]()
-    for n, at, sd in rises:
-        solid = [*takewhile(lambda run: run.kind != "air", runs[n - 2 :: -1])] if n > 1 else []
-        # the blur of metal, whose brightness is cut, moves both faces outwards
-        metal = any(run.kind == "metal" for run in solid)
-        if solid and -MM.MATCH <= solid[0].end - solid[-1].begin - thickness <= MM.MATCH * (1 + metal):
-            guide = solid[-1].begin, solid[0].end
-            entries.append(EntryCandidate(at, float(np.hypot(sd, MM.MODEL_SD)), guide))
+        solid = [*takewhile(lambda run: run.kind != "air", runs[n:])]
+        ends = [
+            run
+            for run in runs[n + 1 : n + len(solid) + 1]
+            if (-run.rise >= HU.METAL_CONTRAST if metal else abs(run.rise) >= HU.GUIDE_STEP)
+        ]
+        if not ends:
+            continue
+        after, excess = ends[0], 0.0
+        if thickness is not None:
+            excess, after = min(
+                ((run.begin - first.begin - thickness, run) for run in ends), key=lambda end: abs(end[0])
+            )
+        length = after.begin - first.begin - excess
+        begin = first.begin + metal * excess / 2
+        guide = begin, begin + length
+        face = next((face for face in faces if face.begin >= after.begin), None)
+        # streaks widen steel, and hide its length where air follows
+        longest = 2 * MM.BLUR_REACH if first.level > PART.BRIGHTEST * HU.CLIPPED else MM.MATCH
+        if metal and face:
+            longest = max(longest, length)
+        if not -MM.MATCH <= excess <= longest:
+            continue
+        if face:
+            entries.append(EntryCandidate(face.begin, float(np.hypot(face.sd, MM.MODEL_SD)), guide))
+        elif after.kind == "soft" and (n or thickness is None):
+            # the end errs by half of the excess, and by a film of air that hardly shows
+            film = after.length / np.sqrt(12) if after.length < MM.MATCH else 0.0
+            hidden = MM.HIDDEN_FACE_SD if thickness is None else 0.0 if metal else excess / 2
+            sd = float(np.linalg.norm([first.sd, film, hidden, MM.MODEL_SD]))
+            entries.append(EntryCandidate(guide[1] + distance, sd, guide))
     return entries

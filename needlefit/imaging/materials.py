@@ -3,19 +3,18 @@
 Soft is what lies between air and metal: tissue, a gel, the plastic of a guide or of a hub.
 """
 
-from collections.abc import Iterator
-from functools import lru_cache
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import binary_dilation, binary_opening
+from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import curve_fit
 from scipy.signal import find_peaks
 from scipy.special import ndtr, ndtri
 
-from needlefit.arrays import Floats, Ints
-from needlefit.imaging.constants import HU, MM, PART, PROBABILITY, SCANNER, SD
+from needlefit.arrays import Floats
+from needlefit.imaging.constants import HU, MM, PART, PROBABILITY, SCANNER
 from needlefit.imaging.needle.axis_spline import (
     PLANE_SPACING_MM,
     correlation_factor,
@@ -28,6 +27,7 @@ from needlefit.imaging.volume import Volume
 
 RING = disc_points(MM.RING[1])  # (N, 2); its points, mm
 RING = RING[np.hypot(*RING.T) >= MM.RING[0]]  # points of the ring (mm), (N, 2)
+SAMPLES = 4  # of the brightness for each station, interpolated: so many count as one
 
 
 def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> IntensityProfile:
@@ -59,167 +59,104 @@ def _row_medians(values: Floats, least: float) -> Floats:
     return middle
 
 
-def find_runs(profile: IntensityProfile, least: float = MM.BLUR_REACH) -> tuple[MaterialRun, ...]:
-    """Return the runs of air, soft material and metal around the needle, from its base to its tip.
+def list_materials(
+    profile: IntensityProfile, tip: float, thickness: float | None = None
+) -> tuple[MaterialRun, ...]:
+    """Return what the needle passes from its base to its `tip`, mm: runs of about one brightness.
 
-    What is shorter than `least`, mm, or than blur makes it belongs to its neighbours.
+    A run begins where the brightness along the needle changes fastest: a streak, which fades slowly, begins
+    none. Blur may hide where a thin guide on the tissue ends: its `thickness`, mm, says where to compare.
     """
-    s, values = _known_stations(profile)
-    if len(s) < 8:
+    visible = np.isfinite(profile.around) & (profile.s <= tip)
+    if np.count_nonzero(visible) < 2:
         return ()
-    step = float(np.median(np.diff(s)))
-    kinds = np.where(values > HU.METAL, 2, np.where(values < HU.GAP, 0, 1))
-    foam = np.ones(1 + round(2 * MM.BLUR_REACH / step), bool)  # what is shorter is blur
-    kinds[binary_opening((values > HU.LIGHT) & (kinds == 0), foam)] = 1
-    bloom = np.ones(1 + 2 * round(MM.BLUR_REACH / step), bool)
-    kinds[binary_dilation(kinds == 2, bloom) & (kinds == 1)] = 2
-    kinds = _absorb_short_runs(kinds, step, least)
-    ends = np.flatnonzero(np.diff(kinds)) + 1
-    names: tuple[MaterialKind, ...] = ("air", "soft", "metal")
-    parts = [names[kinds[n]] for n in (0, *ends)]
-    levels = [float(np.median(part)) for part in np.split(values, ends)]
-    between = [float(s[at - 1] + s[at]) / 2 for at in ends]
-    bounds = [float(s[0]), *between, float(s[-1])]
-    return tuple(map(MaterialRun, parts, bounds[:-1], bounds[1:], levels))
+    first, *_, last = profile.s[visible].tolist()
+    s = np.arange(first, last, MM.STATION / SAMPLES)
+    values = np.interp(s, profile.s[visible], profile.around[visible])
+    places, rises = _find_changes(s, values)
+    faces = places[rises >= HU.METAL_CONTRAST]
+    if thickness and MM.BLUR_CORE <= thickness <= MM.EDGE_BLUR and len(faces):
+        end = faces[0] + thickness
+        behind, before = np.interp([end + MM.MATCH, end - MM.STATION], s, values)
+        if HU.GUIDE_STEP <= abs(behind - before) < HU.METAL_CONTRAST:
+            near = (places > faces[0]) & (np.abs(places - end) <= MM.MATCH)
+            order = np.searchsorted(places[~near], end)
+            places = np.insert(places[~near], order, end)
+            rises = np.insert(rises[~near], order, behind - before)
+    levels = [np.median(part) for part in np.split(values, np.searchsorted(s, places))]
+    beside = np.concatenate([[-np.inf], places, [np.inf]])
+    edges = [
+        # the face of metal is no error function
+        _fit_edge(s, values, *beside[n : n + 3])
+        if abs(rise) < 2 * HU.METAL
+        else (places[n], MM.HIDDEN_FACE_SD)
+        for n, rise in enumerate(rises)
+    ]
+    begins, sds = np.array([(first, 0.0), *edges]).T
+    rows = np.stack([begins, np.append(begins[1:], tip), levels, sds, np.append(0.0, rises)], axis=1)
+    runs = list[MaterialRun]()
+    for begin, end, level, sd, rise in rows.tolist():
+        # blur brightens the air of a narrow gap; foam and lung are no air
+        air = HU.GAP if end - begin < 2 * MM.BLUR_REACH else HU.LIGHT
+        kind: MaterialKind = "metal" if level > HU.METAL else "air" if level < air else "soft"
+        runs.append(MaterialRun(kind, begin, end, level, sd, rise))
+    return tuple(runs)
 
 
-def _known_stations(profile: IntensityProfile) -> tuple[Floats, Floats]:
-    """Return stations (n,) before the tip with known surroundings, and these (n,)."""
-    known, shown = np.isfinite(profile.around), np.isfinite(profile.core)
-    if shown.any():  # beyond the needle's end nothing is entered by it
-        bright = profile.s[shown & (profile.core > np.nanmedian(profile.core) / 2)]
-        known &= profile.s <= max(bright, default=np.inf) + 1e-6
-    return profile.s[known], profile.around[known]
+def _find_changes(s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return where values (n,) at stations `s` (n,) change fastest, mm (m,), and by how much, HU (m,)."""
+    step, width = float(s[1] - s[0]), SCANNER.BLUR.value
+    slope = gaussian_filter1d(values, width / step, order=1, mode="nearest") / step
+    noise = np.median(np.abs(slope)) / ndtri(0.75)
+    # as steep as the least change is after blur and filter, and steeper than noise is anywhere
+    least = max(HU.STEP / (width * np.sqrt(4 * np.pi)), noise * -ndtri(PROBABILITY.FALSE_ALARM / 2 / len(s)))
+    apart = round(MM.MATCH / step)
+    near = round(MM.BLUR_CORE / step)  # within it the larger change counts: a kernel overshoots
+    steepest = find_peaks(np.abs(slope), least, distance=near, prominence=least)[0]
+    steepest = steepest[(steepest >= apart) & (steepest < len(s) - apart)]
+    middles = np.array([0, *(steepest[1:] + steepest[:-1]) // 2, len(s) - 1])
+    before = values[np.maximum(steepest - apart, middles[:-1])]
+    behind = values[np.minimum(steepest + apart, middles[1:])]
+    use = np.abs(behind - before) >= HU.STEP
+    return s[steepest[use]], (behind - before)[use]
 
 
-def _absorb_short_runs(kinds: Ints, step: float, shortest: float) -> Ints:
-    """Return kinds (n,) in which every run is long enough; the shortest is given to its neighbours first."""
-    kinds = kinds.copy()
-    while True:
-        begins = np.concatenate([[0], np.flatnonzero(np.diff(kinds)) + 1])
-        lengths, least = np.diff(begins, append=len(kinds)), np.full(len(begins), shortest)
-        least[1:-1][kinds[begins[1:-1]] == 0] = MM.BLUR_CORE
-        # to the nearest station: those of a curve are not exactly as far apart as stated
-        short = np.flatnonzero(lengths < np.rint(least / step))
-        if not len(short) or len(begins) == 1:
-            return kinds
-        n = int(short[np.argmin(lengths[short])])
-        longer = max((m for m in (n - 1, n + 1) if 0 <= m < len(begins)), key=lambda m: int(lengths[m]))
-        kinds[begins[n] : begins[n] + lengths[n]] = kinds[begins[longer]]
+def _fit_edge(s: Floats, values: Floats, last: float, place: float, following: float) -> tuple[float, float]:
+    """Return where values (n,) at stations `s` (n,) change about `place`, and its deviation, mm.
 
-
-@lru_cache(maxsize=4)  # asked for again for entry, materials and warnings
-def find_rises(
-    profile: IntensityProfile, least: float = MM.BLUR_REACH
-) -> tuple[tuple[int, float, float], ...]:
-    """Return every place where air turns into soft material: the run that begins, mm and its deviation."""
-    runs = find_runs(profile, least)
-    rising = [n for n in range(1, len(runs)) if (runs[n - 1].kind, runs[n].kind) == ("air", "soft")]
-    return tuple((n, *edge) for n in rising if (edge := _fit_edge(profile, runs, n)) is not None)
-
-
-def _fit_edge(
-    profile: IntensityProfile, runs: tuple[MaterialRun, ...], target: int
-) -> tuple[float, float] | None:
-    """Return where run `target` begins, mm, and its deviation; None if nothing rises there.
-
-    An error function from air to soft material, with a slope behind it for a hardened beam, is fitted to the
-    median around the needle, as far as the blur of no other edge reaches. The blurred air of a narrow gap
-    shows no level: air has its own.
+    An error function is fitted as far as neither the `last` nor the `following` change, mm, is nearer. The
+    blurred air of a narrow gap shows no level: air has its own.
     """
-    s, values = _known_stations(profile)
-    gap, guess, step = runs[target - 1], runs[target].begin, float(np.median(np.diff(s)))
-    narrow = target > 1 and gap.length < 2 * MM.BLUR_REACH
-    clear = min(MM.EDGE_BLUR, gap.length / 2) if target > 1 else 0.0
-    reach = 4 * MM.BLUR_REACH
-    before = max(guess - reach, gap.begin + clear)
-    ends = [run.end for run in runs[target:-1]][:1] + [at for at in find_steps(profile) if at > guess]
-    after = max(guess + MM.EDGE_BLUR, min([guess + reach, *(at - MM.MATCH for at in ends)]))
-    near = (s >= before) & (s <= after)
+
+    def show(s: Floats, middle: float, width: float, before: float, behind: float) -> Floats:
+        return before + (behind - before) * ndtr((s - middle) / width)
+
+    reach, air = 2 * MM.BLUR_REACH, min(HU.AIR, values.min())
+    near = (np.abs(s - place) <= reach) & (s > (last + place) / 2) & (s < (place + following) / 2)
     s, values = s[near], values[near]
-    air, soft = values[s < guess], values[s >= guess]
-    if not len(air) or len(soft) * step < MM.BLUR_CORE:
-        return None
-    low, high = HU.AIR if narrow else float(np.median(air)), float(np.median(soft))
-    if high - low < HU.METAL_CONTRAST:
-        return None
-
-    def show(s: Floats, at: float, width: float, low: float, high: float, slope: float) -> Floats:
-        return low + (high - low + slope * np.clip(s - at, 0, None)) * ndtr((s - at) / width)
-
-    first = np.array([guess, SCANNER.BLUR.value, low, high, 0.0])
-    margin = np.array([MM.EDGE_BLUR, np.inf, HU.STEP if narrow else np.inf, np.inf, np.inf])
-    bounds = first - margin, first + margin
-    bounds[0][1], bounds[1][1] = SCANNER.SLICE_BLUR.range
-    noise = max(1.0, 1.05 * float(np.median(np.abs(np.diff(values)))))  # HU are whole numbers
+    darkest = air + HU.STEP if place - last < reach and values[0] < HU.GAP else np.inf
+    before, behind = (float(np.median(values[side])) for side in (s <= place, s >= place))
+    widths = SCANNER.BLUR.range[0], SCANNER.SLICE_BLUR.range[1]
     best, covariance = curve_fit(
         show,
         s,
         values,
-        first,
-        np.full(len(s), noise),
-        bounds=bounds,
-        loss="soft_l1",
-        f_scale=SD.OUTLIER,
+        [place, SCANNER.BLUR.value, min(before, darkest), behind],
+        bounds=([s[0], widths[0], air, air], [s[-1], widths[1], darkest, np.inf]),
         x_scale="jac",
-        ftol=1e-6,
-        xtol=1e-6,
+        ftol=PART.TOLERANCE,
+        xtol=PART.TOLERANCE,
     )
-    left = values - show(s, *best)
-    variance = covariance[0, 0] * correlation_factor(left[:, None], len(best))
-    # an edge sharper than the stations are dense leaves no slope: it lies between two, where the misfit
-    # in parts of its height says
-    sd = np.sqrt(variance)
-    if best[1] < step:
-        sd = min(sd, step * np.sqrt(np.mean(left**2)) / (best[3] - best[2]))
-    return float(best[0]), float(np.hypot(min(sd, max(step, best[1]) / np.sqrt(12)), MM.EDGE_SD))
+    alike = correlation_factor((values - show(s, *best))[:, None], SAMPLES * len(best))
+    sd = min(np.sqrt(covariance[0, 0] * alike), max(MM.STATION, best[1]) / np.sqrt(12))
+    return float(best[0]), float(np.hypot(sd, MM.EDGE_SD))
 
 
-@lru_cache(maxsize=2)
-def find_steps(profile: IntensityProfile) -> tuple[float, ...]:
-    """Return the places inside soft material where its brightness changes, mm, from the base on."""
-    s, values = _known_stations(profile)
-    runs, found = find_runs(profile), list[float]()
-    for n, run in enumerate(runs):
-        low = run.begin + MM.MATCH * (n > 0)
-        high = run.end - MM.MATCH * (n < len(runs) - 1)
-        inside = (s >= low) & (s <= high)
-        if run.kind == "soft" and inside.any() and np.ptp(s[inside]) >= MM.EDGE_BLUR:
-            found += _find_steps_within(s[inside], values[inside])
-    return tuple(found)
-
-
-def _find_steps_within(s: Floats, values: Floats) -> list[float]:
-    """Return the steps of soft material at stations `s` (n,), the most significant of neighbours."""
-    places = np.arange(s[0] + MM.BLUR_CORE, s[-1] - MM.BLUR_CORE, np.median(np.diff(s)) / 2)
-    changes, sds, alike = np.array([_fit_step(s, values, place) for place in places]).reshape(-1, 3).T
-    clear = np.abs(changes) / np.maximum(sds, 1e-9)
-    sure = clear / np.sqrt(alike)  # the scatter of a sum of correlated stations, where it is clearest
-    # of noise alone none of the places shows a step, but for that probability
-    least = -ndtri(PROBABILITY.FALSE_ALARM / 2 / len(places))
-    shown = np.where((np.abs(changes) >= HU.STEP) & (sure >= least), clear, 0.0)
-    apart = 2 * MM.EDGE_BLUR / np.median(np.diff(s))
-    return places[find_peaks([0.0, *shown, 0.0], distance=1 + apart)[0] - 1].tolist()
-
-
-def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float, float]:
-    """Return the change at a place on a common slope, its deviation, HU, and how many stations are as one."""
-    near = np.abs(s - place) <= 2 * MM.EDGE_BLUR
-    x, y = s[near] - place, values[near]
-    design = np.stack([np.ones(len(x)), x, ndtr(x / SCANNER.BLUR.value)], axis=1)
-    inverse = np.linalg.pinv(design)
-    left = y - design @ (inverse @ y)
-    sd = np.linalg.norm(left) / np.sqrt(max(1, len(x) - 3)) * np.linalg.norm(inverse[2])
-    return float(inverse[2] @ y), float(sd), correlation_factor(left[:, None], 3)
-
-
-def list_materials(profile: IntensityProfile, tip: float) -> Iterator[MaterialRun]:
-    """Yield what the needle passes, from its base to its `tip`, mm: runs, and the parts of soft ones."""
-    s, values = _known_stations(profile)
-    runs, rises = find_runs(profile), {n: at for n, at, _ in find_rises(profile)}
-    begins = [rises.get(n, run.begin) for n, run in enumerate(runs)]
-    steps = find_steps(profile)
-    for run, begin, end in zip(runs, begins, [*begins[1:], tip][: len(runs)], strict=True):
-        for low, high in pairwise([begin, *(at for at in steps if begin < at < end), end]):
-            part = values[(s >= low) & (s <= high)]
-            yield MaterialRun(run.kind, low, high, float(np.median(part)) if len(part) else run.level)
+def find_faces(runs: Sequence[MaterialRun]) -> list[MaterialRun]:
+    """Return the runs of soft material that begin behind air; near metal streaks brighten that."""
+    faces, metal = list[MaterialRun](), False
+    for last, run in pairwise(runs):
+        metal |= last.kind == "metal"
+        if run.kind == "soft" and (last.kind == "air" or (metal and run.rise >= HU.METAL_CONTRAST)):
+            faces.append(run)
+    return faces

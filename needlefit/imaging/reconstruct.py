@@ -35,7 +35,7 @@ from needlefit.imaging.entry import (
 )
 from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
 from needlefit.imaging.markers import find_markers, is_list_of_points, read_markers, refine_fiducials
-from needlefit.imaging.materials import find_rises, list_materials, sample_profile
+from needlefit.imaging.materials import find_faces, list_materials, sample_profile
 from needlefit.imaging.needle.centerline import Centerline, project_point, refuse_fold, trace_needle
 from needlefit.imaging.needle.follow import (
     follow_points,
@@ -50,6 +50,7 @@ from needlefit.imaging.reconstruction import (
     IntensityProfile,
     Layers,
     MarkerResult,
+    MaterialRun,
     Reconstruction,
     render_views,
 )
@@ -132,9 +133,10 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
     # nothing else says where the tissue begins where that is the brightness of the scan itself
     staged, own = one.pose.source == "stage", any(surface.into == 1 for surface in one.layers.surfaces)
     source = "the stage's entry" if staged else "its own surface (into = 1)" if own else ""
-    rises = sorted(find_rises(one.profile), key=lambda rise: abs(rise[1])) if source else []
-    for _, off, edge_sd in rises[:1]:
-        sd, side = float(np.hypot(edge_sd, one.pose.along_sd)), "after" if off > 0 else "before"
+    faces = sorted(find_faces(one.passed), key=lambda face: abs(face.begin)) if source else []
+    for face in faces[:1]:
+        off, sd = face.begin, float(np.hypot(face.sd, one.pose.along_sd))
+        side = "after" if off > 0 else "before"
         what = f"in the scan the tissue begins {abs(off):.2f} ± {sd:.2f} mm {side} {source}"
         if not staged and abs(off) > MAX_START_DISTANCE_MM + SD.DISAGREEMENT * sd:
             raise DataError(
@@ -238,6 +240,7 @@ class Examination:
     registration: Registration | None = None
     axis: Centerline = field(init=False)  # LPS; set when it is traced
     profile: IntensityProfile = field(init=False)  # along the whole needle, s from its first point; likewise
+    materials: tuple[MaterialRun, ...] = ()  # what the needle passes, likewise
     curve: Floats | None = None  # (N, 3); where the needle is, LPS, mm: roughly until its axis is traced
     entry: EntryCandidate | None = None  # where along it the scan shows that the tissue begins
     guide: tuple[float, float] | None = None  # where the guide before the tissue begins and ends, likewise
@@ -393,10 +396,7 @@ def derive_reconstruction(
     if registration is not None:
         ends = found.patient.to_local(points[[0, -1]])
         target_error = predict_mean_target_error(registration, ends)
-    passed = tuple(
-        replace(run, begin=run.begin - begin, end=run.end - begin)
-        for run in list_materials(found.profile, float(along[-1]))
-    )
+    passed = tuple(replace(run, begin=run.begin - begin, end=run.end - begin) for run in found.materials)
     return Reconstruction(
         scan=scan,
         spacing=grid.spacing,
@@ -462,7 +462,8 @@ def examine(found: Examination, search: VolumeSearch, report: Note = no_note) ->
     refuse_fold(found.curve)
     found.profile = _sample_whole_profile(volume, found.curve, recipe)
     tip, thickness = float(arc_length(found.curve)[-1]), recipe.guide.thickness_mm
-    found.entry = choose_entry(found.profile, tip, thickness, scan.guide_distance)
+    found.materials = list_materials(found.profile, tip, thickness)
+    found.entry = choose_entry(found.materials, tip, thickness, scan.guide_distance)
     if scan.markers is not None and found.markers is not None:
         stated, stated_sd = read_markers(scan.markers), recipe.markers.reference_sd_mm
         found.registration = register(found.markers.centers, stated, found.markers.sd, stated_sd)

@@ -66,6 +66,8 @@ class MaterialRun:
     begin: float
     end: float
     level: float  # median of the surroundings, HU
+    sd: float = 0.0  # deviation of where it begins, mm
+    rise: float = 0.0  # by which the brightness rises there, HU
 
     @property
     def length(self) -> float:
