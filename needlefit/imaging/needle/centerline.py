@@ -209,7 +209,8 @@ def find_end(volume: Volume, axis: AxisSpline, diameter: float) -> float:
     shaft = (s > axis.length - 2 * MM.HIDDEN) & (s <= axis.length)
     # in tissue a needle is less bright over its surroundings than in air
     bright = s[over > np.median(over[shaft]) / 2]
-    dark = np.flatnonzero((np.diff(bright) > MM.DARK) & (bright[1:] > axis.length))
+    # of what was traced there may be longer dark parts
+    dark = np.flatnonzero(bright[1:] - np.maximum(bright[:-1], axis.length) > MM.DARK)
     return float(bright[dark[0]] if len(dark) else bright[-1])
 
 

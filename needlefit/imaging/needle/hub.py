@@ -22,7 +22,7 @@ class Hub:
 def find_hub(volume: Volume, points: Floats, diameter: float) -> Hub | None:
     """Return the hub before the first of some points (N, 3) on a needle, LPS, mm; None if there is none."""
     middle, side = points[0], MM.HUB_RADIUS + MM.BLUR_REACH
-    plane, s = disc_points(side), np.arange(0.0, MM.REACH, MM.STATION)
+    plane, s = disc_points(side), np.arange(-MM.HIDDEN, MM.REACH, MM.STATION)
     for _ in range(ROUNDS):
         lever = points[np.argmin(np.abs(np.linalg.norm(points - middle, axis=1) - MM.NEEDLE_LENGTH))]
         way = to_unit(middle - lever)

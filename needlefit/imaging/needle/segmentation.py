@@ -100,7 +100,9 @@ def _join_pieces(
     while n < len(left):
         union = measure_component(volume, np.concatenate([needle.voxels, left[n].voxels]))
         gap = union.length - needle.length - left[n].length
-        if left[n] is own[0] or abs(gap) > MM.HIDDEN or union.bend > widest / 2:
+        # a marker lies beside the needle: half of a piece lies beyond its end
+        beyond = -left[n].length / 2 <= gap <= MM.HIDDEN
+        if left[n] is own[0] or not beyond or union.bend > widest / 2:
             n += 1
         else:
             own.append(left.pop(n))
