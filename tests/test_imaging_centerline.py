@@ -207,20 +207,20 @@ def test_a_step_between_two_slices_is_found_where_it_is(moved):
 SLICES_MM = 1.5
 
 
-def in_slices(tilt_mm, start_mm, overlap=1.0, hu=9000, power=1.3):
+def in_slices(tilt_mm, start_mm, overlap=1.0, hu=9000, power=1.3, slices=15, slices_mm=SLICES_MM):
     """A straight needle along the rows of a volume, and its true axis; slices are `overlap` times as thick.
 
     Its middle lies `start_mm` off a slice's; it climbs by `tilt_mm` over its length. No tissue is modelled.
     A slice shows `hu` times a `power` of the part of its thickness that is metal.
     """
-    spacing = np.array([0.5, 0.5, SLICES_MM])
-    size = (130, 40, 15)
+    spacing = np.array([0.5, 0.5, slices_mm])
+    size = (130, 40, slices)
     x, y = np.arange(size[0]) * 0.5, np.arange(size[1]) * 0.5
     truth = np.array([[0.0, 10.0, 9.0 + start_mm], [55.0, 10.0, 9.0 + start_mm + tilt_mm]])
     height = np.interp(x, truth[:, 0], truth[:, 2])
     values = np.zeros(size[::-1])
     for fine in (np.arange(20) + 0.5) / 20 - 0.5:
-        z = np.arange(size[2])[:, None, None] * SLICES_MM + fine * overlap * SLICES_MM - height
+        z = (np.arange(size[2])[:, None, None] + fine * overlap) * slices_mm - height
         away = np.hypot(y[:, None] - 10.0, z)
         values += np.clip((0.635 - away) / 0.5 + 0.5, 0, 1) * np.clip((55.0 - x) / 0.5 + 0.5, 0, 1) / 20
     values = hu * gaussian_filter(values**power, (0, 0.8, 0.8))
@@ -252,6 +252,17 @@ def test_a_step_of_a_needle_near_thick_slices_is_found():
     step = found(volume, recipe).step
     assert abs(step.size - 0.5) < 0.1 and step.sd < 0.06
     assert abs(step.place[2] - 8.5 * SLICES_MM) < 0.2
+
+
+@pytest.mark.parametrize(("tilt", "whole"), [(14.0, True), (18.0, False)])
+def test_thin_slices_are_fitted_as_a_whole_where_their_rays_pass_6_mm_of_the_needle(tilt, whole):
+    """Diameter and thickness, 1.27 + 0.5 mm, over its slope against the slices are 7.2 and 5.7 mm."""
+    volume, truth = in_slices(tilt, 0.4, slices=60, slices_mm=0.5)
+    line = found(volume, cases.recipe(needle={"bevel_deg": 90}, centerline={"entry_direction": [1, 0, 0]}))
+    s = np.linspace(0, 1, 500)[:, None]
+    assert (line.normal_sd > 0) == whole
+    assert cases.off(line.points[:-1], truth[0] + s * (truth[1] - truth[0])).mean() < 0.01
+    assert np.linalg.norm(line.tip - truth[1]) < 0.3
 
 
 @pytest.mark.parametrize(("tilt", "hu", "power"), [(6.0, 2500, 0.6), (8.0, 2500, 1.0), (8.0, 3000, 1.0)])

@@ -26,7 +26,7 @@ class SCANNER:
     BOOST = Known(0.5, 1.0, (-0.2, 5.0))  # of middle frequencies, by kernels; the deviation is its own [R]
     # Across slices, over their distance: a box has 0.29, helical scans more; range, mm, also along needles
     SLICE_BLUR = Known(0.33, 0.5, (0.1, 2.0))
-    METAL = Known(20_000.0, 0.7, (0.0, 5e4))  # HU: titanium has 8 000, steel 30 000, hardened 15 000
+    METAL = Known(20_000.0, 0.7)  # HU: titanium has 8 000, steel 30 000, hardened 15 000
     BALL = Known(1e4, 1.0, (10.0, 1e5))  # HU: glass or metal
     ATTENUATION = Known(0.75, 0.25)  # of the needle, 1/mm
     HARDENING = Known(0.3, 0.35)  # relative variance of the attenuation over the spectrum

@@ -57,13 +57,10 @@ def fit_axis(s: Floats, points: Floats, weights: Floats, knot: float, tip: float
     with its curvature there would bend too far.
     """
     even = make_knots(s[0], s[-1] if tip is None else tip, knot)
-    kept = list(even[: DEGREE + 1])
-    for one in even[DEGREE + 1 : -DEGREE - 1]:  # none ends a piece without cross-sections: nothing shapes it
-        if ((s >= kept[-1]) & (s < one)).any():
-            kept.append(one)
-    if len(kept) > DEGREE + 1 and not (s >= kept[-1]).any():
-        kept.pop()
-    knots = np.array([*kept, *even[-DEGREE - 1 :]])
+    edges = np.unique(even)
+    # none ends a piece without cross-sections: nothing shapes it
+    filled = (np.histogram(s, edges)[0][:-1] > 0) & (edges[1:-1] <= s[-1])
+    knots = np.concatenate([even[: DEGREE + 1], edges[1:-1][filled], even[-DEGREE - 1 :]])
     basis = np.eye(len(knots) - 4) if tip is None else free_end_basis(knots)  # (C, F)
     matrix = design_matrix(s, knots) @ basis
     robust = np.ones(len(s))

@@ -26,7 +26,7 @@ from needlefit.imaging.needle.follow import follow_tube
 from needlefit.imaging.needle.hub import find_hub
 from needlefit.imaging.needle.segmentation import Component
 from needlefit.imaging.needle.slice_fit import place_in_slices
-from needlefit.imaging.needle.step import Step, find_section_step
+from needlefit.imaging.needle.step import Step, find_step
 from needlefit.imaging.needle.tip import TIP, TipFit, TipProblem, bevel_length, fit_tip
 from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.volume import Volume, measure_face_distance
@@ -84,8 +84,9 @@ def trace_needle(
         at = _project_tip(axis, tip)[0]
     axis = refine_axis(volume, axis, recipe, heel, at)
     placed = place_in_slices(volume, axis, recipe, at, spread)
+    step = find_step(volume, axis, near_slices=placed is not None)
     if placed is not None:
-        axis, end, step = placed
+        axis, end = placed
     if tip is not None:
         end = _place_tip(axis, tip, recipe.centerline.placed_tip_sd_mm)
     elif placed is None:
@@ -104,8 +105,6 @@ def trace_needle(
                 ),
                 where=f"L, P, S = {', '.join(f'{x:.0f}' for x in end.point)} mm",
             )
-    if placed is None:
-        step = find_section_step(volume, axis)
     # through the tip, so that the end is interpolated: what its deviation adds for the model's error is none
     # of its place beside the last cross-sections
     axis = extend_axis(axis, end.at, end.point, MM.GRID_SD, MM.KNOT)
@@ -231,21 +230,17 @@ def refuse_cut_tip(volume: Volume, axis: AxisSpline, at: float) -> None:
 def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
     """Return the axis directed from base to tip; DataError if the direction cannot be determined."""
     ends = axis.spline(np.array([0.0, axis.length]))
-    cut = measure_face_distance(volume, ends) < MM.EDGE_BLUR
-    where = "; ".join(", ".join(f"{x:.0f}" for x in end) for end in ends)
     direction = recipe.centerline.entry_direction
     soft = _soft_lengths(volume, axis)
-    clear = max(soft) >= PART.CLEAR * min(soft) and max(soft) > 0
-    forward = soft[1] > soft[0]
     if direction is not None:
         forward = bool((ends[1] - ends[0]) @ np.asarray(direction) > 0)
-    elif cut[0] != cut[1]:
-        forward = forward if clear else bool(cut[0])
-    elif not clear:
-        points = axis.spline(np.arange(0.0, axis.length, 1.0))
-        held = [
-            find_hub(volume, one, recipe.needle.diameter_mm) is not None for one in (points, points[::-1])
-        ]
+    elif max(soft) >= PART.CLEAR * min(soft) and max(soft) > 0:
+        forward = soft[1] > soft[0]
+    else:
+        points, diameter = axis.spline(np.arange(0.0, axis.length, 1.0)), recipe.needle.diameter_mm
+        cut = measure_face_distance(volume, ends) < MM.EDGE_BLUR
+        in_hub = [find_hub(volume, line, diameter) is not None for line in (points, points[::-1])]
+        held = cut | in_hub
         if held[0] == held[1]:
             raise DataError(
                 f"both ends of the needle lie in {'air' if max(soft) == 0 else 'tissue'}",
@@ -256,9 +251,11 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
                     "tip) in the recipe, and state where the tissue begins: its own surface "
                     "(--layers FILE=sheet:1), or the stage in a table of scans"
                 ),
-                where=f"ends at L, P, S = {where} mm",
+                where="ends at L, P, S = "
+                + "; ".join(", ".join(f"{x:.0f}" for x in end) for end in ends)
+                + " mm",
             )
-        forward = held[0]
+        forward = bool(held[0])
     return axis if forward else _reverse_axis(axis)
 
 

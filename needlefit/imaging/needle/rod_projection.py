@@ -15,7 +15,8 @@ CELL_MM = 0.25  # width (mm) of the cells of the detector, and largest distance 
 PLANE_STEP = 6  # divisor of the number of planes of a slice
 # distances from a slice's middle, in slices, between which the logarithm of its sensitivity is linear
 SENSITIVITY_AT = np.arange(PLANE_STEP) / PLANE_STEP
-VIEW_STEP = 0.013  # angle (rad) between views along the needle
+VIEW_STEP = 0.013  # smallest angle (rad) between views
+VIEW_GROWTH = 0.13  # growth of that angle, per angle to the needle
 WATER_PER_MM = 0.02  # attenuation of water (1/mm)
 
 
@@ -30,7 +31,8 @@ class Rod:
     heights: Floats  # (K,); of the slices, mm
     stations: Floats  # (S,); where slices are sampled: along the needle
     side: Floats  # (S, U); and across it
-    view_step: float  # angle between views along the needle, rad; it grows by ten times that per rad to it
+    view_step: float  # angle between views along the needle, rad
+    view_growth: float  # growth of that angle, per angle to the needle
     _back_projections: dict[float, csr_array] = field(default_factory=dict, compare=False)
 
     @cached_property
@@ -38,7 +40,7 @@ class Rod:
         """Angles of the rays to the needle (V,) and their weights; dense where rays run along it."""
         half = [0.0]
         while half[-1] < np.pi / 2:
-            half.append(half[-1] * (1 + 10 * self.view_step) + self.view_step)
+            half.append(half[-1] * (1 + self.view_growth) + self.view_step)
         turned = np.array(half) * (np.pi / 2 / half[-1])
         angles = np.concatenate([-turned[:0:-1], turned])
         weights = np.gradient(angles)
@@ -133,9 +135,9 @@ class Rod:
         np.subtract(outer, np.abs(parts, out=parts), out=parts)  # in place: half the time is memory's
         np.clip(parts, 0, np.minimum(long, wide), out=parts)
         parts *= height
-        cells = np.clip(first, 0, count - len(covered)).astype(np.int64) + covered
         met, row = np.unique(plane, return_inverse=True)  # most planes show no metal
-        cells += (row[:, None] * len(angles) + np.arange(len(angles))) * count
+        views = (row[:, None] * len(angles) + np.arange(len(angles))) * count
+        cells = np.clip(first, 0, count - len(covered)).astype(np.int64) + views + covered
         shape = len(self.planes), len(angles) * count
         stored = np.bincount(cells.ravel(), parts.ravel(), minlength=len(met) * shape[1])
         lit = np.flatnonzero(stored > 0)  # of numbers it takes five times as long
@@ -160,14 +162,13 @@ class Rod:
         passed = np.log(1 + metal.data * np.float32(attenuation * variance / linear))
         in_planes = csr_array(metal)
         in_planes.data = 1 - np.exp(passed * np.float32(-1 / variance))
-        stopped = np.ascontiguousarray((in_planes.T @ mix.T).T)
-        rows = stopped.any(axis=1)
-        stopped = stopped[rows]
+        in_slices = csr_array(mix) @ in_planes
+        rows = np.diff(in_slices.indptr) > 0
+        stopped = in_slices[rows].toarray()
         # a cell's aperture; views begin and end without metal
         stopped[:, 1:-1] = stopped[:, 1:-1] / 2 + (stopped[:, 2:] + stopped[:, :-2]) / 4
-        logs = -np.log(1 - stopped * np.float32(1 / (1 + scatter))).reshape(
-            len(stopped), len(self.views[0]), -1
-        )
+        logs = -np.log(1 - stopped * np.float32(1 / (1 + scatter)))
+        logs = logs.reshape(len(logs), len(self.views[0]), -1)
         frequencies, ramp = self._ramp
         window = (ramp * spread.pass_in_slices((2 * np.pi * frequencies) ** 2)).astype(np.float32)
         length = 2 * (len(frequencies) - 1)

@@ -144,8 +144,6 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
         )
     metal = float(np.partition(bright, -wanted)[-wanted])
     heights = [part * (metal - tissue) for part in PART.THRESHOLDS]
-    # beside large balls on an extended scale a starved shaft is darker than these
-    heights += [part * HU.CLIPPED for part in PART.THRESHOLDS if part * HU.CLIPPED < min(heights)]
     return [(tissue + height, tissue + 1.25 * height) for height in heights]
 
 

@@ -42,15 +42,12 @@ from needlefit.imaging.constants import MM, PART, SCANNER, SD
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
 from needlefit.imaging.needle.follow import STEP_MM
 from needlefit.imaging.needle.hub import Hub, find_hub
-from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, VIEW_STEP, Rod
-from needlefit.imaging.needle.step import Step, find_step
+from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, VIEW_GROWTH, VIEW_STEP, Rod
 from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, ROLL_FACTOR, TipFit, point_bevel
 from needlefit.imaging.point_spread import PointSpread, expected_spread, robust_sd
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedleRecord
 
-# largest number of fits: where one ends far from the lines across the needle, they are placed anew
-MAX_FITS = 2
 LINE_STEP_MM = 0.4  # distance (mm) between samples across the needle
 REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are compared
 KNOT_FACTOR = 1.6  # distance of the knots over that of the axis
@@ -68,6 +65,7 @@ LEAST_GAIN = 0.5  # smallest fall of the misfit (in squared deviations) that mak
 START_ENDS_MM = (-0.5, 0.0, 0.5)  # distances (mm) of the ends that are tried from the one before
 ROBUST_SD = (20.0, 4.0)  # numbers of deviations beyond which residuals count less, in the first fit and later
 STEP = 0.05  # step of the difference quotients
+VIEW_PART = 0.2  # angle between views along the needle over that at which a ray leaves it within a slice
 STEPS = 8  # largest number of steps of a fit
 ROUGH_FACTOR = 2.0  # factor on the rod's pieces and on the angles of views while its path is searched
 # first estimates of the model's error: in water, and as a fraction of the image
@@ -81,8 +79,8 @@ HUB_SDS = np.array([0.1, 0.3])  # SDs of a needle from its hub's middle: mm, and
 
 def place_in_slices(
     volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, tip: float, spread: PointSpread | None
-) -> tuple[AxisSpline, TipFit, Step | None] | None:
-    """Return axis and tip as thick slices show them as a whole, and a step between two slices.
+) -> tuple[AxisSpline, TipFit] | None:
+    """Return axis and tip as thick slices show them as a whole.
 
     `tip`: about where it is, mm along `axis`.
 
@@ -107,21 +105,15 @@ def place_in_slices(
     origin = origin + normal * ((volume.origin - origin) @ normal)  # heights count from the first slice
     x, y, z = ((points - origin) @ frame.T).T
     hub = hub and replace(hub, ends=(hub.ends - origin) @ frame.T)
-    for _ in range(MAX_FITS):
-        problem = _SliceProblem(volume, needle, frame, origin, (x, y, z), spread, hub)
-        if np.count_nonzero(problem.seen.any(axis=0)) < 2 * len(problem.start):
-            return None
-        start = problem.place_rod(ROUGH_FACTOR).search()
-        fine = problem.place_rod(1.0)
-        theta, covariance, error = fine.solve(start)
-        across, along, (end, roll), scan = problem.split(theta)
-        transparent = scan[0] < problem.means[0] - SD.DISAGREEMENT * problem.sds[0]
-        if transparent and hub is None and error > PART.END_MISFIT:
-            return None
-        if np.abs(problem.at @ (across - problem.start[:, 0])).max() < LINE_STEP_MM:
-            break
-        # the needle lies where its surroundings were looked for: sample the slices around it
-        y, z = (_extend(problem.basis, x) @ np.stack([across, along], axis=1)).T
+    problem = _SliceProblem(volume, needle, frame, origin, (x, y, z), spread, hub)
+    if np.count_nonzero(problem.seen.any(axis=0)) < 2 * len(problem.start):
+        return None
+    start = problem.place_rod(ROUGH_FACTOR).search()
+    theta, covariance, error = problem.place_rod(1.0).solve(start)
+    across, along, (end, roll), scan = problem.split(theta)
+    transparent = scan[0] < problem.means[0] - SD.DISAGREEMENT * problem.sds[0]
+    if transparent and hub is None and error > PART.END_MISFIT:
+        return None
     rolled = needle.bevel_deg < MAX_BEVEL_DEG
     count, end = len(across), float(x[-1] + end)
     variances = np.stack([covariance[:count, :count], covariance[count : 2 * count, count : 2 * count]])
@@ -147,10 +139,7 @@ def place_in_slices(
     sd = np.hypot([np.hypot(end_sd, 2 * missed), np.linalg.norm(sds[:, -1]) / np.sqrt(2)], MM.MODEL_SD)
     roll_sd = ROLL_FACTOR * float(roll_sd) if rolled else np.nan
     bevel = point_bevel(frame[1], normal, float(roll), roll_sd)
-    step = fine.find_step(theta)
-    if step is not None:
-        step = replace(step, place=origin + step.place @ frame)
-    return placed, TipFit(float(s[-1]), points[-1], sd, bevel, roll_sd, error), step
+    return placed, TipFit(float(s[-1]), points[-1], sd, bevel, roll_sd, error)
 
 
 def _extend(spline: BSpline, x: Floats) -> Floats:
@@ -222,6 +211,8 @@ class _SliceProblem:
         bent = np.vstack([shear, basis.derivative(2)(unique[-1:]) / MM.END_MOMENT])
         self.bent = bent * moment / SHEAR_SD_MM2  # (J, C) from coefficients to shear forces, in deviations
         self.hub, self.thick, self.needle = hub, thick, needle
+        slope = abs(z[-1] - z[0]) / (x[-1] - x[0])
+        self.view_step = max(VIEW_STEP, VIEW_PART * needle.diameter_mm * slope / (needle.diameter_mm + thick))
         self.last, self.samples = x[-1], (thick, slices * thick, stations, side)
         expected = spread or expected_spread(thick)
         profile = np.log(expected.weigh_planes(SENSITIVITY_AT[1:] * thick))
@@ -239,7 +230,7 @@ class _SliceProblem:
         steep = min(true, 2 * radius / step)
         # a bevel that projects as the end does reaches farther
         placed.end = self.last + radius / steep - radius / true
-        placed.rod = Rod(columns, radius, steep, *self.samples, rough * VIEW_STEP)
+        placed.rod = Rod(columns, radius, steep, *self.samples, rough * self.view_step, rough * VIEW_GROWTH)
         if self.hub is not None:
             places, *course = self.hub.ends.T
             begin, end = places.tolist()
@@ -414,25 +405,6 @@ class _SliceProblem:
         noise = robust_sd(left[seen & ~bright])
         error = robust_sd(left[bright] / over[bright])
         return np.hypot(max(noise, 0.005), np.clip(error, 0.02, 0.5) * over)
-
-    def find_step(self, theta: Floats) -> Step | None:
-        """Return the step across the needle that sections in the slices show; its place as in `frame`."""
-        across, along, *_ = self.split(theta)
-        seen, line = self.seen, self.line
-        middles, peaks = np.zeros((2, 2, *seen.shape))
-        for n, shown in enumerate((self.shown, self.image(self.project(theta), theta))):
-            over = shown - self.level
-            peaks[n] = over.max(axis=-1)
-            over = np.clip(over - PART.FAINT * peaks[n][..., None], 0, None)
-            middles[n] = over @ line / np.maximum(over.sum(axis=-1), 1e-9)
-        clear = (seen & (peaks > PART.FAINT * np.percentile(peaks[:, seen], 97)).all(axis=0)).T  # (S, K)
-        thick, heights, stations, _ = self.samples
-        course = np.column_stack([stations, self.at @ across, self.at @ along])
-        between = heights[:-1] + thick / 2
-        places = course[np.abs(course[:, 2] - between[:, None]).argmin(axis=1)]
-        shifts = (heights > between[:, None])[:, None] & clear
-        beside = np.where(clear, (middles[0] - middles[1]).T, 0.0)[..., None]
-        return find_step(beside, self.at[:, None] * clear[..., None], shifts.astype(float), places)
 
     def error(self, image: Floats) -> float:
         """Return the relative error of what slices show."""

@@ -127,11 +127,7 @@ DERIVATIVE_STEP = 0.05
 MAX_BEVEL_DEG = 85.0  # largest angle (degrees) of a bevel that has a side
 ROLL_FACTOR = 3.0  # factor on the roll's deviation: artefacts near the tip
 ROLL_SD = 0.15  # SD of the roll (rad) that no residual shows
-LOWER_BOUNDS = np.array([*5 * [-np.inf], -1100, 0, *LOWEST, -HU.CLIPPED])
-UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(SCANNER.METAL.range[1]), 1000, 6, *HIGHEST, HU.CLIPPED])
-# Bounds and typical changes of the parameters. No metal of needles exceeds 50 000 HU.
-PARAMETER_SCALES = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50, 0.3, 0.1, 0.3, 0.2, 100])
-HELD = [U, V, HEIGHT, COT, *range(7, 10), STREAK]  # parameters that have a prior
+PARAMETER_SCALES = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50, 0.3, 0.1, 0.3, 0.2, 100])  # typical changes
 # largest difference of the bevel's angle from the stated one, in its deviations, beyond which the image
 # contradicts it: right ones at most 1.0, bevels of 20 and 60 degrees for 30 have 3.0
 MAX_BEVEL_PULL_SD = 2.5
@@ -164,7 +160,7 @@ class TipProblem:
         places, values = list_axis_voxels(volume, axis, guess - heel - MM.EDGE_BLUR, guess + MM.BEYOND_END)
         every = int(np.ceil(len(values) / MAX_FITTED_VOXELS))
         self.places, self.values = places[:, ::every], values[::every]
-        self.volume, self.guess, self.rolled = volume, guess, needle.bevel_deg < MAX_BEVEL_DEG
+        self.volume, self.rolled = volume, needle.bevel_deg < MAX_BEVEL_DEG
         frame, normal = axis_frames(axis, np.array([guess])), volume.grid.normal
         # the tip may be found 4 mm from where it is looked for
         back, ahead = heel + MM.EDGE_BLUR + MM.BEYOND_END, 2 * MM.BEYOND_END
@@ -183,14 +179,10 @@ class TipProblem:
         cot = heel / needle.diameter_mm
         cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) / np.hypot(1.0, ray / MM.DARK)
         expected = spread or expected_spread(volume.grid.slice_distance)
-        # means and deviations of the parameters `HELD`
-        self.means = np.array([0.0, 0.0, np.log(SCANNER.METAL.value), cot, *expected.parameters, 0.0])
-        self.sds = np.array([swing_sd, swing_sd, SCANNER.METAL.sd, cot_sd, *expected.sds, HU.METAL])
-        # beyond what is known before artefacts would be taken for the needle's image
-        self.low, self.high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
-        self.low[TIP], self.high[TIP] = guess - MM.BEYOND_END, guess + MM.BEYOND_END
-        self.low[HELD] = np.maximum(self.low[HELD], self.means - SD.DISAGREEMENT * self.sds)
-        self.high[HELD] = np.minimum(self.high[HELD], self.means + SD.DISAGREEMENT * self.sds)
+        metal, swings, end_sd = SCANNER.METAL, 2 * [swing_sd], MM.BEYOND_END / SD.DISAGREEMENT
+        # what is known of the parameters before, and its deviations
+        self.means = np.array([guess, 0, 0, 0, np.log(metal.value), self.level, cot, *expected.parameters, 0])
+        self.sds = np.array([end_sd, np.inf, *swings, metal.sd, np.inf, cot_sd, *expected.sds, HU.METAL])
         away = np.hypot(*self.places[1:])
         beyond, noise = values[places[0] > guess + 0.5 * MM.BEYOND_END], 50.0
         if beyond.size >= 20:
@@ -216,7 +208,7 @@ class TipProblem:
     def residuals(self, theta: Floats) -> Floats:
         """Return voxels and what is known, both in their deviations."""
         left = (self.show(theta) - self.values) / self.sigma
-        return np.append(left, (theta[HELD] - self.means) / self.sds)
+        return np.append(left, (theta - self.means) / self.sds)
 
     def slopes(self, theta: Floats) -> Floats:
         """Return the derivatives of the residuals."""
@@ -226,15 +218,14 @@ class TipProblem:
 
     def search(self) -> Floats:
         """Return the least squares from the best of several ends and sides of the bevel on."""
-        first = np.zeros(11)
-        first[TIP], first[LEVEL] = self.guess, self.level
-        first[HELD] = self.means
 
         def misfit(start: Floats) -> float:
             return float(np.sum(np.minimum(np.abs(self.residuals(start)), 20)))
 
         unit, rolls = np.eye(11), np.arange(6 if self.rolled else 1) * np.pi / 3
-        starts = [first + shift * unit[TIP] + roll * unit[ROLL] for roll in rolls for shift in START_ENDS_MM]
+        starts = [
+            self.means + shift * unit[TIP] + roll * unit[ROLL] for roll in rolls for shift in START_ENDS_MM
+        ]
         return np.asarray(self.minimize(min(starts, key=misfit)).x, float)
 
     def fit(self, start: Floats) -> OptimizeResult:
@@ -249,11 +240,15 @@ class TipProblem:
 
     def minimize(self, start: Floats) -> OptimizeResult:
         """Return the least squares from `start` (11,) on."""
+        # beyond what is known before artefacts would be taken for the needle's image
+        low, high = (self.means + side * SD.DISAGREEMENT * self.sds for side in (-1, 1))
+        low[COT] = max(low[COT], 0.0)
+        low[SPREAD], high[SPREAD] = np.maximum(low[SPREAD], LOWEST), np.minimum(high[SPREAD], HIGHEST)
         return least_squares(
             self.residuals,
-            np.clip(start, self.low + 1e-6, self.high - 1e-6),
+            np.clip(start, low + 1e-6, high - 1e-6),
             jac=self.slopes,
-            bounds=(self.low, self.high),
+            bounds=(low, high),
             loss="soft_l1",
             f_scale=SD.DISAGREEMENT,
             x_scale=PARAMETER_SCALES,
@@ -318,14 +313,9 @@ def fit_tip(
     """
     problem = TipProblem(volume, axis, needle, float(start[TIP]), spread)
     best, bevel_deg = problem.fit(start), np.nan
-    column = HELD.index(COT)
-    if abs(best.x[COT] - problem.means[column]) > MAX_BEVEL_PULL_SD * problem.sds[column]:
+    if abs(best.x[COT] - problem.means[COT]) > MAX_BEVEL_PULL_SD * problem.sds[COT]:
         # what is stated of the bevel may be wrong: the image alone shows it, if it is then clearly nearer
-        problem.sds[column], problem.low[COT], problem.high[COT] = (
-            np.inf,
-            LOWER_BOUNDS[COT],
-            UPPER_BOUNDS[COT],
-        )
+        problem.sds[COT] = np.inf
         free = problem.minimize(best.x)
         if problem.misfit(free.x) < PART.BEVEL_MISFIT * problem.misfit(best.x):
             best, bevel_deg = free, float(np.degrees(np.arctan2(1.0, free.x[COT])))
