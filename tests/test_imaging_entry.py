@@ -175,6 +175,8 @@ def test_a_plate_on_the_tissue_ends_after_its_thickness_and_what_is_stated_of_th
     assert entry.sd > (0.2 if dip else 0.05)  # what is darker than both may be a film
     entry = choose(flush, thickness=8.0, distance=0.5)
     assert_allclose((entry.at, *entry.guide), (0.5, -8.0, 0.0), atol=0.05)
+    cavity = profile((-8.0, -1000.0, level), (0.0, level, 35.0), (15.0, 35.0, -1000.0), (20.0, -1000.0, 35.0))
+    assert_allclose(choose(cavity, thickness=8.0).at, 0.0, atol=0.05)
 
 
 @pytest.mark.parametrize("shift", np.linspace(0.0, 0.5, 5))

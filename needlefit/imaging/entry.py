@@ -268,19 +268,18 @@ def _list_behind_guides(
         ]
         if not ends:
             continue
-        after, excess = ends[0], 0.0
-        if thickness is not None:
-            excess, after = min(
-                ((run.begin - first.begin - thickness, run) for run in ends), key=lambda end: abs(end[0])
-            )
-        length = after.begin - first.begin - excess
+        stated = ends[0].begin - first.begin if thickness is None else thickness
+        after = min(ends, key=lambda run: abs(run.begin - first.begin - stated))
+        excess = after.begin - first.begin - stated
         begin = first.begin + metal * excess / 2
-        guide = begin, begin + length
-        face = next((face for face in faces if face.begin >= after.begin), None)
+        guide = begin, begin + stated
+        behind = runs[runs.index(after) + 1 :]
+        change = next((run for run in behind if run in faces or run.rise <= -HU.METAL_CONTRAST), None)
+        face = change if change in faces else None  # not behind a cavity of the tissue
         # streaks widen steel, and hide its length where air follows
         longest = 2 * MM.BLUR_REACH if first.level > PART.BRIGHTEST * HU.CLIPPED else MM.MATCH
         if metal and face:
-            longest = max(longest, length)
+            longest = max(longest, stated)
         if not -MM.MATCH <= excess <= longest:
             continue
         if face:
