@@ -62,7 +62,6 @@ NUMBERS = {
     "RescaleSlope": 1,
     "RescaleIntercept": 1,
 }  # entries that are numbers, and the count of each
-SHARED_NUMBERS = ("Rows", "Columns", "ImageOrientationPatient", "PixelSpacing")  # of all slices of a stack
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,21 +151,21 @@ def find_series(path: Path, series: str | None) -> list[DicomSlice]:
     DataError if there is no DICOM image there, no series of the name, or several to choose from; also if a
     DICOM file is damaged.
     """
-    named = read_header(path) if is_file(path) else None
-    if is_file(path) and named is None:
-        raise DataError(
-            "is not a volume that can be read",
-            expected="a DICOM image, or a file that ends in .nrrd, .nii, .nii.gz or .mha; values in HU",
-            fix="name the scan's folder, or export it so; structure sets (RTSTRUCT) are read by `needlefit "
-            "import`; pictures (a micro-CT's TIFF) 3D Slicer saves as NRRD, in HU",
-            where=path,
-        )
+    if is_file(path):
+        named = read_header(path)
+        if named is None:
+            raise DataError(
+                "is not a volume that can be read",
+                expected="a DICOM image, or a file that ends in .nrrd, .nii, .nii.gz or .mha; values in HU",
+                fix="name the scan's folder, or export it so; structure sets (RTSTRUCT) are read by "
+                "`needlefit import`; pictures (a micro-CT's TIFF) 3D Slicer saves as NRRD, in HU",
+                where=path,
+            )
+        series = named.series
     groups: dict[str, list[DicomSlice]] = {}
     for item in map(read_header, list_series_files(path)):
         if item is not None:
             groups.setdefault(item.series, []).append(item)
-    if named is not None:
-        series = named.series
     if series is None:  # stacks of slices made with X-rays, if there are any
         chosen = [*filter(_is_stack, groups.values())] or [*groups.values()]
     else:
@@ -245,7 +244,7 @@ def _list_faults(item: DicomSlice, first: DicomSlice) -> Iterator[str]:
         yield f"ImageOrientationPatient is {axes.round(4).tolist()}, no two perpendicular unit vectors"
     if item.text("FrameOfReferenceUID") != first.text("FrameOfReferenceUID"):
         yield f"its FrameOfReferenceUID is not that of {first.file.name}"
-    for name in SHARED_NUMBERS:
+    for name in ("Rows", "Columns", "ImageOrientationPatient", "PixelSpacing"):
         if not np.allclose(number[name], first.number[name], 0, MAX_LEAN):
             yield f"its {name} is {number[name]}, that of {first.file.name} is {first.number[name]}"
 

@@ -161,8 +161,23 @@ def _locate(file: str, info: ValidationInfo) -> Path:
 
 def _parse_layers(text: str, info: ValidationInfo) -> tuple[LayerSource, ...]:
     return tuple(
-        parse_layer_source(part.strip(), Path(info.context or "")) for part in text.split(";") if part.strip()
+        _parse_layer(part.strip(), Path(info.context or "")) for part in text.split(";") if part.strip()
     )
+
+
+def _parse_layer(text: str, folder: Path) -> LayerSource:
+    """Return the layer stated as `file` or `file=kind:into`, relative to `folder`."""
+    stated = _LAYER.fullmatch(text)
+    assert stated is not None  # a file's name may be anything
+    path = folder / stated["file"]
+    endings = MESH_SUFFIXES if stated["kind"] else (*MESH_SUFFIXES, *SEGMENTATION_SUFFIXES)
+    if not is_file(path) or not path.name.lower().endswith(endings):
+        raise ValueError(
+            f"an existing mesh ({', '.join(MESH_SUFFIXES)}), with or without =sheet:2 or =solid:3, or "
+            f"segmentation ({', '.join(SEGMENTATION_SUFFIXES)}); {path} is none"
+        )
+    kind: SurfaceKind = "sheet" if stated["kind"] == "sheet" else "solid"
+    return LayerSource(path, kind, int(stated["into"])) if stated["kind"] else LayerSource(path)
 
 
 Id = Annotated[str, AfterValidator(_require_id)]
@@ -209,24 +224,6 @@ class ScanRow(Record):
 
 COLUMN_NAMES = {name: field.alias or name for name, field in ScanRow.model_fields.items()}
 SCAN_COLUMNS = tuple(column for name in COLUMN_NAMES for column in VECTORS.get(name, (COLUMN_NAMES[name],)))
-
-
-def parse_layer_source(text: str, folder: Path) -> LayerSource:
-    """Return the layer stated as `file` or `file=kind:into`, relative to `folder`.
-
-    ValueError if it is none.
-    """
-    stated = _LAYER.fullmatch(text)
-    assert stated is not None  # a file's name may be anything
-    path = folder / stated["file"]
-    endings = MESH_SUFFIXES if stated["kind"] else (*MESH_SUFFIXES, *SEGMENTATION_SUFFIXES)
-    if not is_file(path) or not path.name.lower().endswith(endings):
-        raise ValueError(
-            f"an existing mesh ({', '.join(MESH_SUFFIXES)}), with or without =sheet:2 or =solid:3, or "
-            f"segmentation ({', '.join(SEGMENTATION_SUFFIXES)}); {path} is none"
-        )
-    kind: SurfaceKind = "sheet" if stated["kind"] == "sheet" else "solid"
-    return LayerSource(path, kind, int(stated["into"])) if stated["kind"] else LayerSource(path)
 
 
 def _build_scan(cells: Mapping[str, str], folder: Path, where: str, faults: list[Fault]) -> Scan | None:
