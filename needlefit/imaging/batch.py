@@ -11,8 +11,6 @@ from functools import partial
 from operator import attrgetter
 from pathlib import Path
 
-import numpy as np
-
 from needlefit.datasets.formats.markups import Markups
 from needlefit.errors import DataError, NeedlefitError, located
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
@@ -41,7 +39,7 @@ class ReconstructionFailure:
     scan: Scan
     error: NeedlefitError
     points: Markups | None = None  # control points of what was found in it, LPS, mm
-    entries: Markups | None = None  # the entries to choose from, faces of guides and the tip, likewise
+    entries: Markups | None = None  # the tip, the entries to choose from and faces of guides, likewise
     warnings: tuple[str, ...] = ()  # what a person should know of the scan's files
     picture: CurvePicture | None = None  # of what was taken for the needle
     asked: bool = False  # whether a person may choose an answer about the entry
@@ -166,25 +164,21 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan, report: Note) -> Resul
 def _describe_failure(volume: Volume, found: Examination, error: NeedlefitError) -> ReconstructionFailure:
     """Return why a scan is refused, with what was found in it as points and in a picture."""
     scan, needle, entry = found.scan, found.curve, found.entry
+    refused = ReconstructionFailure(scan, explain_refusal(error, volume), warnings=volume.warnings)
+    if needle is None:
+        return refused
     answers = entry.answers or (entry,) if entry is not None else ()
-    entries, listed, picture = np.empty((0, 3)), None, None
-    if needle is not None:
-        entries = interpolate_at_arc(needle, [answer.at for answer in answers])
-        picture = picture_curve(volume, needle, entries)
-        along = {"tip": float(arc_length(needle)[-1])}
-        for n, answer in enumerate(answers, start=1):
-            along[f"entry {n}"] = answer.at
-            if answer.guide is not None:
-                along[f"guide {n} begins"], along[f"guide {n} ends"] = answer.guide
-        if answers:
-            points = interpolate_at_arc(needle, [*along.values()])
-            listed = Markups(Path(scan.id), f"{scan.id} entries", "Fiducial", tuple(along), points)
-    return ReconstructionFailure(
-        scan,
-        explain_refusal(error, volume),
-        make_control_points(scan.id, needle, next(iter(entries), None), found.markers),
-        listed,
-        volume.warnings,
-        picture,
+    along = {"tip": float(arc_length(needle)[-1])}
+    for n, answer in enumerate(answers, start=1):
+        along[f"entry {n}"] = answer.at
+        if answer.guide is not None:
+            along[f"guide {n} begins"], along[f"guide {n} ends"] = answer.guide
+    points = interpolate_at_arc(needle, [*along.values()])
+    entries = interpolate_at_arc(needle, [answer.at for answer in answers])
+    return replace(
+        refused,
+        points=make_control_points(scan.id, needle, next(iter(entries), None), found.markers),
+        entries=Markups(Path(scan.id), f"{scan.id} entries", "Fiducial", tuple(along), points),
+        picture=picture_curve(volume, needle, entries),
         asked=entry is not None and error is entry.doubt,
     )

@@ -30,36 +30,30 @@ _BALLS = re.compile(r", one of (\d+) balls")  # behind it: a ball that was remov
 
 
 def make_control_points(
-    id_: str, needle: Floats | None, entry: Floats | None, markers: MarkerResult | None
-) -> Markups | None:
-    """Return the control points of a scan, LPS; None if nothing was found in it.
+    id_: str, needle: Floats, entry: Floats | None, markers: MarkerResult | None
+) -> Markups:
+    """Return the control points of a scan, LPS.
 
-    `needle`: (N, 3) or None; its axis from base to tip, mm.
+    `needle`: (N, 3); its axis from base to tip, mm.
     `entry`: (3,) or None; where it enters the tissue.
     """
     balls = np.empty((0, 3)) if markers is None else markers.centers
-    points: list[tuple[str, Floats]] = []
-    if needle is not None:
-        s = arc_length(needle)
-        middles = s[-1] * (np.arange(AXIS_POINTS) + 0.5) / AXIS_POINTS
-        points += [(f"axis {n}", place) for n, place in enumerate(interpolate_at_arc(needle, middles), 1)]
-        points.append(("tip", needle[-1]))
+    middles = arc_length(needle)[-1] * (np.arange(AXIS_POINTS) + 0.5) / AXIS_POINTS
+    points = {f"axis {n}": place for n, place in enumerate(interpolate_at_arc(needle, middles), 1)}
+    points["tip"] = needle[-1]
     if entry is not None:
-        points.append(("entry", entry))
-    points += [(f"ball {n}", ball) for n, ball in enumerate(balls, 1)]
-    if not points:
-        return None
-    places = np.array([place for _, place in points]).round(3)
-    labels = tuple(label for label, _ in points)
+        points["entry"] = entry
+    points |= {f"ball {n}": ball for n, ball in enumerate(balls, 1)}
+    places = np.array([*points.values()]).round(3)
     named = tuple(
         "found at L, P, S = {:.3f}, {:.3f}, {:.3f} mm".format(*place)
         + f", one of {len(balls)} balls" * label.startswith("ball")
-        for label, place in zip(labels, places.tolist(), strict=True)
+        for label, place in zip(points, places.tolist(), strict=True)
     )
-    return Markups(Path(id_), f"{id_} {LIST_NAME}", "Fiducial", labels, places, descriptions=named)
+    return Markups(Path(id_), f"{id_} {LIST_NAME}", "Fiducial", tuple(points), places, descriptions=named)
 
 
-def list_control_points(reconstruction: Reconstruction) -> Markups | None:
+def list_control_points(reconstruction: Reconstruction) -> Markups:
     """Return the control points by which a reconstruction is corrected, LPS."""
     (entry,) = reconstruction.patient.to_local(reconstruction.points[:1])
     needle, markers = reconstruction.needle_axis.points, reconstruction.markers
