@@ -223,8 +223,7 @@ def choose_entry(
         ]
         offered = (matching or (hidden if len(faces) == 1 else faces) or behind)[-1]
         others = [*matching, *hidden, *faces, *behind]
-        show = f"{len(matching)} guides of {guide_thickness:g} mm show" if matching else ""
-        doubt = f"{show or f'no guide of {guide_thickness:g} mm shows'} along the needle"
+        doubt = f"{len(matching) or 'no'} guides of {guide_thickness:g} mm show along the needle"
         expected = "one solid of that length before the tissue, followed by air or another material"
         fix = "correct guide.thickness_mm (0: the scan shows no guide)"
     answers = [offered]

@@ -74,7 +74,7 @@ def list_materials(
     s = np.arange(first, last, MM.STATION / SAMPLES)
     values = np.interp(s, profile.s[visible], profile.around[visible])
     places, rises = _find_changes(s, values)
-    faces = places[rises >= HU.METAL_CONTRAST]
+    faces = places[(rises >= HU.METAL_CONTRAST) & (places < s[-1] - MM.EDGE_BLUR)]
     if thickness and MM.BLUR_CORE <= thickness <= MM.EDGE_BLUR and len(faces):
         end = faces[0] + thickness
         behind, before = np.interp([end + MM.MATCH, end - MM.STATION], s, values)
