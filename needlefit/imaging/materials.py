@@ -84,14 +84,15 @@ def list_materials(
             places = np.insert(places[~near], order, end)
             rises = np.insert(rises[~near], order, behind - before)
     levels = [np.median(part) for part in np.split(values, np.searchsorted(s, places))]
-    beside = np.concatenate([[-np.inf], places, [np.inf]])
-    edges = [
+    edges = list[tuple[float, float]]()
+    for place, rise in zip(places.tolist(), rises, strict=True):
+        # its own overshoot, by the kernel, does not end what is fitted
+        far = np.abs(places - place) > MM.MATCH
+        others = places[far | (np.abs(rises) > PART.OVERSHOOT * abs(rise))]
+        near = max(others[others < place], default=-np.inf), min(others[others > place], default=np.inf)
         # the face of metal is no error function
-        _fit_edge(s, values, *beside[n : n + 3])
-        if abs(rise) < 2 * HU.METAL
-        else (places[n], MM.HIDDEN_FACE_SD)
-        for n, rise in enumerate(rises)
-    ]
+        metal = abs(rise) >= 2 * HU.METAL
+        edges.append((place, MM.HIDDEN_FACE_SD) if metal else _fit_edge(s, values, near[0], place, near[1]))
     begins, sds = np.array([(first, 0.0), *edges]).T
     rows = np.stack([begins, np.append(begins[1:], tip), levels, sds, np.append(0.0, rises)], axis=1)
     runs = list[MaterialRun]()
