@@ -43,7 +43,7 @@ from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlatio
 from needlefit.imaging.needle.follow import STEP_MM
 from needlefit.imaging.needle.hub import Hub, find_hub
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, VIEW_GROWTH, VIEW_STEP, Rod
-from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, ROLL_FACTOR, TipFit, point_bevel
+from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, ROLL_FACTOR, START_ENDS_MM, TipFit, point_bevel
 from needlefit.imaging.point_spread import PointSpread, expected_spread, robust_sd
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedleRecord
@@ -62,7 +62,6 @@ MOVE_SIZES = (0.4, 0.15)  # sizes of moves of the axis: along the normal in slic
 TRIED_MOVES = 6  # number of moves from which a fit begins
 MOVED_STEPS = 4  # largest number of steps of such a fit
 LEAST_GAIN = 0.5  # smallest fall of the misfit (in squared deviations) that makes a minimum a lower one
-START_ENDS_MM = (-0.5, 0.0, 0.5)  # distances (mm) of the ends that are tried from the one before
 ROBUST_SD = (20.0, 4.0)  # numbers of deviations beyond which residuals count less, in the first fit and later
 STEP = 0.05  # step of the difference quotients
 VIEW_PART = 0.2  # angle between views along the needle over that at which a ray leaves it within a slice

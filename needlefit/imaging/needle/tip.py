@@ -119,8 +119,7 @@ class RodModel:
 # slices, mm, and between them the kernel's boost; the streak beyond the end, HU.
 TIP, ROLL, U, V, HEIGHT, LEVEL, COT, BLUR, _, SLICE, STREAK = range(11)
 SPREAD = slice(7, 10)
-# distances (mm) from the first guess of the end at which the bevel's side is tried
-START_ENDS_MM = np.arange(-0.8, 0.9, 0.4)
+START_ENDS_MM = (-0.5, 0.0, 0.5)  # distances (mm) from a guess of the end at which the bevel's side is tried
 STEPS = 30  # largest number of steps of a fit
 # step of the difference quotients, over the typical changes: single precision hides smaller ones
 DERIVATIVE_STEP = 0.05
