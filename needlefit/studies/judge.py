@@ -53,7 +53,7 @@ REFERENCES = ("straight", "constant_curvature")  #: curves that one fit is compa
 MIN_TRIALS = 3
 #: largest tip error over the measurement noise at which the model errs no more than the measurements
 MAX_NOISE_RATIO = 2.0
-#: probability of each of two wrong verdicts on predictions that are as good as a curve: better, and worse
+#: significance of each of two one-sided tests: predictions err less than a curve; they err more than it
 SIGNIFICANCE = 0.05
 #: smallest power of a test to find an exact prediction closer; below it needles bend too little for the test
 MIN_POWER = 0.8

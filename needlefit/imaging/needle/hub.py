@@ -1,4 +1,4 @@
-"""Find the metal hub that holds a needle: a rod around its axis, before its first cross-section."""
+"""Find the metal hub that holds a needle: a rod around its axis, near the needle's base."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,10 @@ class Hub:
 
 
 def find_hub(volume: Volume, points: Floats, diameter: float) -> Hub | None:
-    """Return the hub before the first of some points (N, 3) on a needle, LPS, mm; None if there is none."""
+    """Return the hub near the first of points (N, 3) on a needle, LPS, mm; None if there is none.
+
+    It begins at most `MM.REACH` before that point, or `MM.HIDDEN` behind it: a trace may lead into a hub.
+    """
     middle, side = points[0], MM.HUB_RADIUS + MM.BLUR_REACH
     plane, s = disc_points(side), np.arange(-MM.HIDDEN, MM.REACH, MM.STATION)
     for _ in range(ROUNDS):

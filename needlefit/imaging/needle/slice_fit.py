@@ -24,7 +24,6 @@ by 0.11 and 0.12).
 
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
 from itertools import cycle
 from typing import Self
 
@@ -332,17 +331,17 @@ class _SliceProblem:
     def search(self) -> Floats:
         """Return about where the needle runs and ends, from where its axis was traced."""
         best = np.concatenate([*self.start.T, [0.0, 0.0], self.means])
-        lowest = self.first_misfit(best)
+        lowest, moves = self.first_misfit(best), self.moves
         for size in MOVE_SIZES:
             improved = True
             while improved:
                 improved = False
-                for move in np.concatenate([*self.moves, *-self.moves]):
+                for move in np.concatenate([*moves, *-moves]):
                     if (cost := self.first_misfit(best + size * move)) < lowest:
                         best, lowest, improved = best + size * move, cost, True
         return self.turn(best)
 
-    @cached_property
+    @property
     def moves(self) -> Floats:
         """Moves of the axis (2, M, P), whole or in part: by 1 mm across, and by 1 slice along the normal."""
         x, count = np.linspace(-1, 1, len(self.start)), len(self.start)
@@ -370,7 +369,8 @@ class _SliceProblem:
 
         Fits begin where moves of the axis along the normal lead to the least misfit.
         """
-        moves = np.vstack([size * self.moves[1] for size in MOVE_SIZES])
+        _, along = self.moves
+        moves = np.vstack([size * along for size in MOVE_SIZES])
         while True:
             lowest = self.first_misfit(best)
             for start in sorted([*(best + moves), *(best - moves)], key=self.first_misfit)[:TRIED_MOVES]:
