@@ -101,6 +101,7 @@ def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
     assert moved.sd[4] == 0.3
     given = np.array([[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]])
     refusal(DataError, "1 of 2 fiducials", refine_fiducials, given, plain, RECIPE, balls)
+    refusal(DataError, r"RAS.* LPS", refine_fiducials, PLACES * [-1, -1, 1], plain, RECIPE, balls)
 
 
 def test_bright_voxels_hang_together_as_scipy_labels_them():

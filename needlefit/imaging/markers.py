@@ -15,11 +15,11 @@ from scipy.spatial.distance import cdist
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.errors import DataError
+from needlefit.geometry.frames import AXIS_SIGNS
 from needlefit.imaging.bright_voxels import MAX_LISTED_VOXELS, BrightVoxels
 from needlefit.imaging.constants import HU, MM, PART, SCANNER, SD
 from needlefit.imaging.point_spread import average_spreads
 from needlefit.imaging.reconstruction import MarkerResult
-from needlefit.imaging.registration import check_axis_signs
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, measure_face_distance, require_inside, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -47,7 +47,8 @@ def find_blobs(
             moments = steps @ (np.cov(voxels.T, bias=True) + np.eye(3) / 12) @ steps.T
             extents = np.sqrt(np.linalg.eigvalsh(moments))
             if extents[-1] <= PART.BALL_ELONGATION * extents[0]:
-                found.append(Blob(voxels, level, own))
+                middle = to_patient(volume, voxels.mean(axis=0)[None])[0]
+                found.append(Blob(voxels, level, own, middle))
     return sorted(found, key=lambda blob: abs(np.log(blob.diameter / diameter)))
 
 
@@ -77,13 +78,12 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
     tried: list[Floats] = []
     balls: list[SphereFit] = []
     for blob in find_blobs(volume, listed, shown, diameter, exclude):
-        middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
         # the same ball appears at several levels: it is fitted once
-        if any(np.linalg.norm(middle - place) < diameter / 2 for place in tried):
+        if any(np.linalg.norm(blob.middle - place) < diameter / 2 for place in tried):
             continue
-        tried.append(middle)
+        tried.append(blob.middle)
         ball = fit_sphere(volume, blob, diameter / 2)
-        if _is_whole(volume, ball, middle, rules.max_misfit):
+        if _is_whole(volume, ball, blob.middle, rules.max_misfit):
             tried.append(ball.center)
             balls.append(ball)
     return MarkerResult(
@@ -128,12 +128,16 @@ def refine_fiducials(
     DataError if fiducials lie on the balls only with the signs of coordinates changed, or outside the volume.
     """
     rules = recipe.markers
-    if len(balls.centers):
-        check_axis_signs(given, balls.centers, rules.fiducial_sd_mm)
+    reach = rules.diameter_mm / 2 + SD.OUTLIER * rules.fiducial_sd_mm
+    apart, turned = (cdist(given * AXIS_SIGNS[system], balls.centers) for system in ("LPS", "RAS"))
+    if np.count_nonzero(turned <= reach) > np.count_nonzero(apart <= reach):
+        raise DataError(
+            "RAS was read as LPS: the fiducials lie on balls only with the signs of x and y changed",
+            expected="the coordinate system that the file states",
+            fix="state the coordinate system of the file (RAS or LPS)",
+        )
     require_inside(volume, given, "fiducials")
     centers, sd = given.copy(), np.full(len(given), rules.fiducial_sd_mm)
-    reach = rules.diameter_mm / 2 + SD.OUTLIER * rules.fiducial_sd_mm
-    apart = cdist(given, balls.centers)
     pairs = np.stack(linear_sum_assignment(np.minimum(apart, 2 * reach)))
     mark, ball = pairs[:, apart[tuple(pairs)] <= reach]
     centers[mark], sd[mark] = balls.centers[ball], balls.sd[ball]

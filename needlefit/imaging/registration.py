@@ -2,8 +2,7 @@
 
 All pairings whose distances the stated noise allows are aligned; the likeliest is kept if it fits and no
 other is nearly as likely. Two pairings of as many pairs differ in likelihood by exp(-chi2 / 2). The motion is
-a rotation and a translation; a reflection that fits more markers is refused. RAS read as LPS is a turn,
-which only another set of markers in the same frame shows (`check_axis_signs`).
+a rotation and a translation; a reflection that fits more markers is refused.
 
 The motion errs by a small turn about the weighted mean c of the markers and a shift, independent to first
 order. Markers at a_i from c, of deviations sigma_i, give
@@ -26,8 +25,8 @@ from scipy.special import chdtrc, chdtri, elliprg
 
 from needlefit.arrays import Floats, Ints
 from needlefit.errors import DataError
-from needlefit.geometry.frames import AXIS_SIGNS, Frame
-from needlefit.imaging.constants import PROBABILITY, SD
+from needlefit.geometry.frames import Frame
+from needlefit.imaging.constants import PROBABILITY
 
 # smallest difference of chi-squared to another pairing with which that one is as unlikely as is tolerated
 MIN_CHI2_GAP = -2 * np.log(PROBABILITY.FALSE_ALARM)
@@ -66,27 +65,27 @@ def register(found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: 
     """
     here, there = (np.asarray(given, dtype=np.float64).reshape(-1, 3) for given in (found, known))
     variance = np.square(np.broadcast_to(found_sd, len(here))) + known_sd**2
+    # two pairs of variances v that change a distance by D cost at least D^2 / (v_1 + v_2) in chi-squared
     changes = cdist(here, here)[:, None, :, None] - cdist(there, there)[:, None]
+    costs = changes**2 / np.add.outer(variance, variance)[:, None, :, None]
     most = min(len(here), len(there))
     # two thirds or more: few among many are part of something else, and fit where the spacing is wrong, too;
     # three agree by chance, unless one of the sets has no more, and two always
-    least = max(3, min(most, max(4, most - most // 3)))
+    least = max(3, min(most, 4), most - most // 3)
     fault = f"no pairing of the {len(here)} found with the {len(there)} known markers fits"
     for count in range(most, least - 1, -1):
         limit = float(chdtri(3 * count - 6, PROBABILITY.FALSE_ALARM))  # that a right pairing hardly exceeds
-        # two pairs of variances v that change a distance by D cost at least D^2 / (v_1 + v_2) in chi-squared
-        costs = changes**2 / np.add.outer(variance, variance)[:, None, :, None]
-        listed = [*islice(list_pairings(costs <= limit + MIN_CHI2_GAP, count), MAX_PAIRINGS + 1)]
-        if len(listed) > MAX_PAIRINGS:
-            fault = f"more than {MAX_PAIRINGS} pairings of the markers fit"
-            break
-        fits = sorted((align(here, there, variance, pairs) for pairs in listed), key=lambda fit: fit.chi2)
-        if fits and fits[0].chi2 <= limit:
+        pairings = [*islice(list_pairings(costs <= limit + MIN_CHI2_GAP, count), MAX_PAIRINGS)]
+        fits = sorted((align(here, there, variance, pairs) for pairs in pairings), key=lambda fit: fit.chi2)
+        if len(pairings) == MAX_PAIRINGS:
+            fault = f"{MAX_PAIRINGS} pairings of the markers or more fit"
+        elif fits and fits[0].chi2 <= limit:
             fault = _find_fault(fits)
-            break
-        if any(align(-here, there, variance, pairs).chi2 <= limit for pairs in listed):
+        elif any(align(-here, there, variance, pairs).chi2 <= limit for pairs in pairings):
             fault = f"the markers are mirrored: {count} fit reflected, fewer as they are"
-            break
+        else:
+            continue
+        break
     if fault:
         raise DataError(
             f"{fault}; their deviations are {np.sqrt(variance.max(initial=0.0)):.3g} mm at most",
@@ -109,20 +108,13 @@ def _find_fault(fits: Sequence[Registration]) -> str:
     """Return why the first of some fits, the likeliest, is not the motion; empty if it is."""
     best, *others = fits
     # the turn about a line through all markers is known to their deviation over their distance from it
-    turn = float(np.fmin(np.sqrt(np.trace(best.turn_covariance)), np.pi))
-    if turn > MAX_TURN_SD_RAD:
-        return (
-            f"{len(best.pairs)} markers lie on a line, or their deviations are large against their layout: "
-            f"the turn about it is known to ± {np.degrees(turn):.0f} degrees only"
-        )
+    if not np.trace(best.turn_covariance) <= MAX_TURN_SD_RAD**2:  # not finite where they lie on it
+        return f"{len(best.pairs)} markers lie on a line, or their deviations are large against their layout"
     for other in others:
-        same_found, same_known = np.moveaxis(best.pairs[:, None] == other.pairs, -1, 0)
+        same = best.pairs[:, None] == other.pairs
         # one gives a marker, found or known, to a different one than the other does
-        if other.chi2 < best.chi2 + MIN_CHI2_GAP and (same_found != same_known).any():
-            return (
-                f"two pairings of {len(best.pairs)} markers are likely: they leave {best.fre:.2f} and "
-                f"{other.fre:.2f} mm"
-            )
+        if other.chi2 < best.chi2 + MIN_CHI2_GAP and (same[..., 0] != same[..., 1]).any():
+            return f"two pairings are likely, which leave {best.fre:.2f} and {other.fre:.2f} mm"
     return ""
 
 
@@ -183,22 +175,3 @@ def predict_mean_target_error(registration: Registration, points: ArrayLike) -> 
     """
     a, b, c = np.maximum(np.linalg.eigvalsh(target_covariance(registration, points)), 0.0).T
     return np.sqrt(8 / np.pi) * elliprg(a, b, c)
-
-
-def check_axis_signs(given: Floats, detected: Floats, sd: float) -> None:
-    """Raise DataError if markers `given` (P, 3) fit those `detected` (M, 3) only with RAS and LPS exchanged.
-
-    Both are stated in the frame of the scan: fiducials of a file, and markers or metal in the volume.
-    `sd` is the deviation of a distance between the two, mm. Sets that fit neither way pass: they may be of
-    different things.
-    """
-    as_is, turned = (
-        float(np.median(cdist(given * AXIS_SIGNS[system], detected).min(axis=1))) for system in ("LPS", "RAS")
-    )
-    if as_is > SD.DISAGREEMENT * max(turned, sd) and turned <= SD.DISAGREEMENT * sd:
-        raise DataError(
-            f"RAS was read as LPS: the markers given lie {as_is:.1f} mm from those in "
-            f"the volume, with the signs of x and y changed {turned:.1f} mm",
-            expected="the coordinate system that the file states, turned to LPS at the reader",
-            fix="state the coordinate system of the file (RAS or LPS)",
-        )

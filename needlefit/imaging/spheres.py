@@ -9,7 +9,7 @@ a ball that is cut low, is held by what is known of scanners.
 """
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
@@ -35,42 +35,30 @@ FREQUENCY_STEP_PER_MM = 0.25  # spacing (1/mm) of the angular frequencies: image
 MAX_FREQUENCY_SD = 4.5  # largest angular frequency, over the inverse of a blur: 4e-5 of its amplitude passes
 
 
-def _list_frequencies() -> tuple[Floats, Floats]:
-    """Return the middles of the steps of frequency in the slices, and across them, 1/mm."""
+@lru_cache(maxsize=8)
+def _list_waves(reach: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return frequencies (F,) in the slices and across, 1/mm, and their waves, out to `reach`, mm.
+
+    The waves are (G, F) in the slices and (F, G) across, at distances `TABLE_STEP_MM` apart. Frequencies are
+    the middles of their steps.
+    """
     ends = [MAX_FREQUENCY_SD / blur for blur in (SCANNER.BLUR.range[0], SCANNER.SLICE_BLUR.range[0])]
     across, along = (np.arange(0.5, end / FREQUENCY_STEP_PER_MM) * FREQUENCY_STEP_PER_MM for end in ends)
-    return across, along
+    grid = np.arange(0.0, reach + 4 * TABLE_STEP_MM, TABLE_STEP_MM)
+    return across, along, j0(np.outer(grid, across)), np.cos(np.outer(along, grid))
 
 
 @lru_cache(maxsize=16)  # of a step's derivatives most are of one table
 def make_table(reach: float, radius: float, spread: PointSpread) -> Floats:
     """Return the image (G, G) of a ball of `radius` out to `reach`, mm, as splines."""
-    across, along = _list_frequencies()
-    # a wide blur lets only the lowest frequencies pass
-    across = across[: np.searchsorted(across, MAX_FREQUENCY_SD / spread.blur)]
+    across, along, wave, cosine = _list_waves(reach)
     x = radius * np.hypot(across[:, None], along)
     rings = across.copy()
     rings[0] *= 11 / 12  # the end term of Euler and Maclaurin: the integrand begins with a slope
     measure = 2 * FREQUENCY_STEP_PER_MM**2 / np.pi * radius**3 * rings[:, None]
     passed = np.outer(spread.pass_in_slices(across**2), spread.pass_across(along))
-    wave, cosine = _list_waves(reach)
     ball = measure * passed * (np.sin(x) / x - np.cos(x)) / x**2
-    return np.asarray(spline_filter(wave[:, : len(across)] @ ball @ cosine, mode="mirror"), float)
-
-
-@lru_cache(maxsize=8)
-def _list_waves(reach: float) -> tuple[Floats, Floats]:
-    """Return the waves of all frequencies at distances across (G, F) and along (F, G)."""
-    across, along = _list_frequencies()
-    grid = np.arange(0.0, reach + 4 * TABLE_STEP_MM, TABLE_STEP_MM)
-    return j0(np.outer(grid, across)), np.cos(np.outer(along, grid))
-
-
-# places of the 13 parameters: centre of the ball, mm; logarithm of its own HU; logarithm of the blur in the
-# slices, mm, and the kernel's boost; logarithm of the blur across them; the background's lower level and its
-# step, HU; the step's direction over its width, 1/mm, and its offset
-CENTER, SPREAD, FACE, OFFSET = slice(0, 3), slice(4, 7), slice(9, 12), 12
-HEIGHT, _, _, _, LEVEL, STEP = range(3, 9)
+    return np.asarray(spline_filter(wave @ ball @ cosine, mode="mirror"), float)
 
 
 @dataclass(frozen=True)
@@ -80,9 +68,10 @@ class Blob:
     voxels: Ints  # (N, 3); i, j, k
     level: float  # all of them exceed it, HU
     diameter: float  # of a ball of as many voxels, mm
+    middle: Floats  # (3,); LPS, mm
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class SphereVoxels:
     """The voxels around a ball."""
 
@@ -94,41 +83,6 @@ class SphereVoxels:
     # Where the scanner's numbers begin and end, HU; infinite if they do not.
     floor: float
     ceiling: float
-
-    @cached_property
-    def reach(self) -> float:
-        """A distance, mm, beyond all voxels from a ball whose centre lies near the blob's middle."""
-        return float(np.ceil(1.5 * np.linalg.norm(self.places, axis=1).max()))
-
-
-@lru_cache(maxsize=16)  # of a step's derivatives half are of one ball
-def _show_ball(near: SphereVoxels, center: tuple[float, ...], spread: PointSpread) -> Floats:
-    """Return the image (N,) of a ball of height 1."""
-    d = near.places - center
-    at = np.stack([np.hypot(d[:, 0], d[:, 1]), np.abs(d[:, 2])]) / TABLE_STEP_MM
-    table = make_table(near.reach, near.radius, spread)
-    return map_coordinates(table, at, order=3, mode="mirror", prefilter=False)
-
-
-def render_sphere(near: SphereVoxels, theta: Floats) -> Floats:
-    """Return the image (N,), HU, of a ball."""
-    ball = _show_ball(near, tuple(theta[CENTER].tolist()), read_spread(theta[SPREAD]))
-    around = theta[LEVEL] + theta[STEP] * ndtr(near.places @ theta[FACE] + theta[OFFSET])
-    return np.clip(around + (float(np.exp(theta[HEIGHT])) - around) * ball, near.floor, near.ceiling)
-
-
-# Bounds and typical changes of the model's parameters.
-_RANGES = (
-    *3 * [(-np.inf, np.inf, 0.2)],
-    (*np.log(SCANNER.BALL.range), 0.3),
-    *zip(LOWEST, HIGHEST, (0.2, 0.5, 0.3), strict=True),
-    (-5e3, 1e4, 100.0),
-    (0.0, 3e3, 100.0),
-    *3 * [(-3.0, 3.0, 0.3)],
-    (-10.0, 10.0, 0.5),
-)
-LOWER_BOUNDS, UPPER_BOUNDS, PARAMETER_SCALES = np.array(list(zip(*_RANGES, strict=True)))
-PRIOR_COLUMNS = [HEIGHT, *range(4, 7)]
 
 
 @dataclass(frozen=True)
@@ -145,12 +99,35 @@ class SphereFit:
     noise: float
 
 
+# places of the 13 parameters: centre of the ball, mm; logarithm of its own HU; logarithm of the blur in the
+# slices, mm, and the kernel's boost; logarithm of the blur across them; the background's lower level and its
+# step, HU; the step's direction over its width, 1/mm, and its offset
+CENTER, HEIGHT, SPREAD, LEVEL, STEP, FACE, OFFSET = slice(3), 3, slice(4, 7), 7, 8, slice(9, 12), 12
+KNOWN = slice(HEIGHT, SPREAD.stop)  # of which something is known before
+LOWER_BOUNDS, UPPER_BOUNDS = np.full((2, 13), [[-np.inf], [np.inf]])
+LOWER_BOUNDS[SPREAD], UPPER_BOUNDS[SPREAD] = LOWEST, HIGHEST
+LOWER_BOUNDS[FACE], UPPER_BOUNDS[FACE] = -3.0, 3.0  # no step is sharper than its blur
+LOWER_BOUNDS[HEIGHT], UPPER_BOUNDS[HEIGHT] = np.log(SCANNER.BALL.range)
+
+
+def render_sphere(near: SphereVoxels, theta: Floats) -> Floats:
+    """Return the image (N,), HU, of a ball."""
+    d = near.places - theta[CENTER]
+    at = np.stack([np.hypot(d[:, 0], d[:, 1]), np.abs(d[:, 2])]) / TABLE_STEP_MM
+    # beyond all voxels from a ball whose centre lies near the blob's middle
+    reach = float(np.ceil(1.5 * np.linalg.norm(near.places, axis=1).max()))
+    table = make_table(reach, near.radius, read_spread(theta[SPREAD]))
+    ball = map_coordinates(table, at, order=3, mode="mirror", prefilter=False)
+    around = theta[LEVEL] + theta[STEP] * ndtr(near.places @ theta[FACE] + theta[OFFSET])
+    return np.clip(around + (np.exp(theta[HEIGHT]) - around) * ball, near.floor, near.ceiling)
+
+
 def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     """Fit a ball of `radius` (mm) to the voxels around `blob`."""
     near = select_voxels(volume, blob, radius)
-    theta, residuals, covariance = _fit_model(near, _guess_parameters(near))
+    theta, residuals, covariance = _fit_model(near)
     spread = read_spread(theta[SPREAD])
-    height = max(1.0, float(min(np.exp(theta[HEIGHT]), near.ceiling) - theta[LEVEL]))
+    height = _find_height(near, theta)
     inside = np.linalg.norm(near.places - theta[CENTER], axis=1) < radius + near.spacing.max()
     left = residuals[inside] if inside.any() else residuals
     misfit = float(np.sqrt(np.mean(left**2))) / height
@@ -160,7 +137,7 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     )
     formal = float(np.sqrt(np.trace(covariance[CENTER, CENTER]) / 3))
     return SphereFit(
-        center=to_patient(volume, blob.voxels.mean(axis=0)[None])[0] + near.axes @ theta[CENTER],
+        center=blob.middle + near.axes @ theta[CENTER],
         radius=radius,
         sd=float(np.linalg.norm([formal, systematic, MM.GRID_SD])),
         spread=spread,
@@ -169,29 +146,13 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     )
 
 
-def _fit_model(near: SphereVoxels, first: Floats) -> tuple[Floats, Floats, Floats]:
-    """Fit the parameters, from `first` (13,) on, and again with the noise that this leaves.
-
-    Return them, residuals (N,), HU, and their covariance (13, 13); voxels in one blur count as one.
-    """
-    noise = PART.FIRST_NOISE * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL])
-    count = len(near.values)
-    best = _minimize(near, first, noise)
-    noise = max(1.0, noise * robust_sd(best.fun[:count]))
-    alike = max(1.0, MM.BLUR_CORE**3 / float(np.prod(near.spacing)))
-    best = _minimize(near, best.x, noise * np.sqrt(alike))
-    normal = best.jac.T @ best.jac
-    return best.x, noise * np.sqrt(alike) * best.fun[:count], np.linalg.pinv(normal, hermitian=True)
-
-
 def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
     """Return the voxels around a blob, without those near other bright things."""
     axes = np.column_stack([volume.direction[:, :2], volume.grid.normal])
     spacing = np.array([*volume.spacing[:2], volume.grid.slice_distance])
     reach = radius + MM.MATCH * max(1.0, float(spacing.max()))
-    middle = to_patient(volume, blob.voxels.mean(axis=0)[None])
-    ijk, values = list_voxels_near(volume, middle, reach)
-    places = (to_patient(volume, ijk) - middle) @ axes
+    ijk, values = list_voxels_near(volume, blob.middle[None], reach)
+    places = (to_patient(volume, ijk) - blob.middle) @ axes
     own = np.isin(*(np.ravel_multi_index(tuple(part.T), volume.grid.size) for part in (ijk, blob.voxels)))
     others, use = (values > blob.level) & ~own, np.linalg.norm(places, axis=1) <= reach
     if others.any():
@@ -200,41 +161,45 @@ def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
     return SphereVoxels(places[use][::every], values[use][::every], radius, spacing, axes, *find_cuts(values))
 
 
-def _guess_parameters(near: SphereVoxels) -> Floats:
-    """Return where the fit begins: the blob's middle, the brightness there, and both levels around it."""
+def _find_height(near: SphereVoxels, theta: Floats) -> float:
+    """Return by how much a ball is brighter than its surroundings, as shown, HU."""
+    return max(1.0, float(min(np.exp(theta[HEIGHT]), near.ceiling) - theta[LEVEL]))
+
+
+def _fit_model(near: SphereVoxels) -> tuple[Floats, Floats, Floats]:
+    """Fit the parameters, from the blob's middle on, and again with the noise that this leaves.
+
+    Return them, residuals (N,), HU, and their covariance (13, 13); voxels in one blur count as one.
+    """
+    expected = expected_spread(float(near.spacing[2]))
+    means = np.array([np.log(SCANNER.BALL.value), *expected.parameters])
+    sds = np.array([SCANNER.BALL.sd, *expected.sds])
     r = np.linalg.norm(near.places, axis=1)
     peak = float(near.values[r <= max(near.radius, float(r.min()))].max())
     low, high = np.quantile(near.values[r >= np.quantile(r, 0.7)], [0.05, 0.95])
-    first = np.zeros(13)
-    first[PRIOR_COLUMNS] = _list_prior(near)[0]
-    first[[HEIGHT, LEVEL, STEP]] = np.log(max(1.5 * peak, 100.0)), low, max(high - low, 50.0)
-    return first
+    theta = np.zeros(13)
+    theta[KNOWN] = means
+    theta[[HEIGHT, LEVEL, STEP]] = np.log(max(1.5 * peak, 100.0)), low, max(high - low, 50.0)
 
-
-def _list_prior(near: SphereVoxels) -> tuple[Floats, Floats]:
-    """Return means and deviations of the parameters of which something is known before."""
-    spread = expected_spread(float(near.spacing[2]))
-    return (
-        np.array([np.log(SCANNER.BALL.value), *spread.parameters]),
-        np.array([SCANNER.BALL.sd, *spread.sds]),
-    )
-
-
-def _minimize(near: SphereVoxels, first: Floats, noise: float) -> OptimizeResult:
-    """Return the least squares from `first` (13,) on, in deviations of the noise (HU); the prior is last."""
-    means, sds = _list_prior(near)
-
-    def residuals(theta: Floats) -> Floats:
+    def find_residuals(theta: Floats, noise: float) -> Floats:
         left = (render_sphere(near, theta) - near.values) / noise
-        return np.append(left, (theta[PRIOR_COLUMNS] - means) / sds)
+        return np.append(left, (theta[KNOWN] - means) / sds)
 
-    return least_squares(
-        residuals,
-        np.clip(first, LOWER_BOUNDS + 1e-6, UPPER_BOUNDS - 1e-6),
-        bounds=(LOWER_BOUNDS, UPPER_BOUNDS),
-        loss="soft_l1",
-        f_scale=SD.OUTLIER,
-        x_scale=PARAMETER_SCALES,
-        ftol=PART.TOLERANCE,
-        max_nfev=40,
-    )
+    def fit(theta: Floats, noise: float) -> OptimizeResult:
+        return least_squares(
+            find_residuals,
+            np.clip(theta, LOWER_BOUNDS, UPPER_BOUNDS),
+            bounds=(LOWER_BOUNDS, UPPER_BOUNDS),
+            loss="soft_l1",
+            f_scale=SD.OUTLIER,
+            x_scale="jac",
+            ftol=1e-4,
+            args=(noise,),
+        )
+
+    noise, count = PART.FIRST_NOISE * _find_height(near, theta), len(near.values)
+    best = fit(theta, noise)
+    alike = max(1.0, MM.BLUR_CORE**3 / float(np.prod(near.spacing)))
+    noise = max(1.0, noise * robust_sd(best.fun[:count])) * np.sqrt(alike)
+    best = fit(best.x, noise)
+    return best.x, noise * best.fun[:count], np.linalg.pinv(best.jac.T @ best.jac, hermitian=True)
