@@ -106,7 +106,7 @@ class PART:
     DIVIDED_NEEDLE = 0.4  # the same, where all needles are wanted
     CLEAR = 1.5  # of two widths, or soft lengths, that are not of one thing
     # Of the way from tissue to metal; the last where a plate hangs together with the needle
-    THRESHOLDS = (0.4, 0.25, 0.15, 0.7)
+    THRESHOLDS = (0.4, 0.25, 0.15, 0.08, 0.7)
     BRIGHTEST = 0.97  # of the brightest of something, beyond which all is as bright
     FAINT = 0.3  # of a needle's brightness: fainter sections show none
     OVERSHOOT = 0.2  # of a change, beside it, by sharp kernels, at most [G]

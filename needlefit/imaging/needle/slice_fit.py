@@ -22,10 +22,8 @@ Metal elsewhere in the slices is not modelled: without it tips of two volumes er
 by 0.11 and 0.12).
 """
 
-from copy import copy
 from dataclasses import replace
 from itertools import cycle
-from typing import Self
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -41,7 +39,7 @@ from needlefit.imaging.constants import MM, PART, SCANNER, SD
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
 from needlefit.imaging.needle.follow import STEP_MM
 from needlefit.imaging.needle.hub import Hub, find_hub
-from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, VIEW_GROWTH, VIEW_STEP, Rod
+from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, VIEW_STEP, Rod
 from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, ROLL_FACTOR, START_ENDS_MM, TipFit, point_bevel
 from needlefit.imaging.point_spread import PointSpread, expected_spread, robust_sd
 from needlefit.imaging.volume import Volume, to_index
@@ -65,13 +63,14 @@ ROBUST_SD = (20.0, 4.0)  # numbers of deviations beyond which residuals count le
 STEP = 0.05  # step of the difference quotients
 VIEW_PART = 0.2  # angle between views along the needle over that at which a ray leaves it within a slice
 STEPS = 8  # largest number of steps of a fit
-ROUGH_FACTOR = 2.0  # factor on the rod's pieces and on the angles of views while its path is searched
 # first estimates of the model's error: in water, and as a fraction of the image
 FIRST_ERRORS = (0.15, 0.25)
 CORRELATED_SAMPLES = 10.0  # number of samples that count as one
-# SD of the axis (slices) that no residual shows where the needle does not cross a slice, as its mirror image
-# looks the same; at its end twice as much. Set on volumes of `benchmarks/real_scanners.py --seeds 2000:2013`.
-MIRROR_SD = 0.2
+# SDs of the axis (slices) that no residual shows: where it does not cross a slice, and per relative misfit of
+# the image; at the needle's end they are larger by a factor. Set on `benchmarks/real_scanners.py --seeds
+# 3100:3116` and `3300:3340`, where errors of tips over SDs are 1.1 along the needle, 0.8 and 0.7 across, in
+# root mean square.
+MIRROR_SD, MISFIT_SD, END_FACTOR = 0.1, 0.05, 5.0
 HUB_SDS = np.array([0.1, 0.3])  # SDs of a needle from its hub's middle: mm, and slices
 
 
@@ -106,8 +105,7 @@ def place_in_slices(
     problem = _SliceProblem(volume, needle, frame, origin, (x, y, z), spread, hub)
     if np.count_nonzero(problem.seen.any(axis=0)) < 2 * len(problem.start):
         return None
-    start = problem.place_rod(ROUGH_FACTOR).search()
-    theta, covariance, error = problem.place_rod(1.0).solve(start)
+    theta, covariance, error = problem.solve()
     across, along, (end, roll), scan = problem.split(theta)
     transparent = scan[0] < problem.means[0] - SD.DISAGREEMENT * problem.sds[0]
     if transparent and hub is None and error > PART.END_MISFIT:
@@ -116,28 +114,25 @@ def place_in_slices(
     count, end = len(across), float(x[-1] + end)
     variances = np.stack([covariance[:count, :count], covariance[count : 2 * count, count : 2 * count]])
     end_sd, roll_sd = np.sqrt(np.diag(covariance)[2 * count : 2 * count + 2])
-    crossed = float(np.ptp(problem.at @ along)) / thick
-    missed = thick * float(np.hypot(max(0.0, error - PART.SLICE_MISFIT), MIRROR_SD * max(0.0, 1 - crossed)))
-    # where the axis lies at the sections of the one that was traced, and at its end: a curve that passes
-    # sections beyond it, or others twice, and comes back would be too long
-    places = (axis.points - origin) @ frame[0]
-    traced = (places > x[0]) & (places < end - MM.STATION) & (places >= np.maximum.accumulate(places))
-    places = np.append(places[traced], end)
+    # the mirror image of an axis about a slice that it does not cross looks the same
+    flat = max(0.0, 1 - float(np.ptp(problem.at @ along)) / thick)
+    unseen = thick * np.hypot(MISFIT_SD * error, MIRROR_SD * flat)
+    places = np.append(np.arange(x[0], end - MM.STATION, MM.STATION), end)
     basis = _extend(problem.basis, places)
     beside = np.stack([across, along], axis=1)
     points = origin + np.column_stack([places, basis @ beside]) @ frame
     s = arc_length(points)
     # the tip's stands for that of the last section
     sds = np.delete(np.sqrt(np.einsum("nc,kcd,nd->kn", basis, variances, basis)), -2, axis=1)
-    sds = np.hypot(sds, np.hypot(PART.SLICE_SD * thick, missed))
-    placed = fit_axis(s[:-1], points[:-1], axis.weights[traced], MM.KNOT, s[-1])
+    sds = np.hypot(sds, np.hypot(PART.SLICE_SD * thick, unseen))
+    placed = fit_axis(s[:-1], points[:-1], np.ones(len(s) - 1), MM.KNOT, s[-1])
     # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
     wider = np.mean(sds[0] ** 2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
     placed = replace(placed, variance=placed.variance * wider, slice_sds=sds)
-    sd = np.hypot([np.hypot(end_sd, 2 * missed), np.linalg.norm(sds[:, -1]) / np.sqrt(2)], MM.MODEL_SD)
+    end_sds = np.array([np.hypot(end_sd, END_FACTOR * unseen), np.linalg.norm(sds[:, -1]) / np.sqrt(2)])
     roll_sd = ROLL_FACTOR * float(roll_sd) if rolled else np.nan
     bevel = point_bevel(frame[1], normal, float(roll), roll_sd)
-    return placed, TipFit(float(s[-1]), points[-1], sd, bevel, roll_sd, error)
+    return placed, TipFit(float(s[-1]), points[-1], np.hypot(end_sds, MM.MODEL_SD), bevel, roll_sd, error)
 
 
 def _extend(spline: BSpline, x: Floats) -> Floats:
@@ -152,9 +147,6 @@ class _SliceProblem:
     Parameters: coefficients of the axis across and along the normal, end, the bevel's roll, and the scan's.
     """
 
-    to_columns: Floats  # (columns, C) from coefficients to the axis at the pieces of the rod
-    end: float  # about where the needle ends, mm
-    rod: Rod
     held: csr_array  # the hub on the rays
 
     def __init__(
@@ -208,33 +200,29 @@ class _SliceProblem:
         shear = basis.derivative(3)((unique[1:] + unique[:-1]) / 2)
         bent = np.vstack([shear, basis.derivative(2)(unique[-1:]) / MM.END_MOMENT])
         self.bent = bent * moment / SHEAR_SD_MM2  # (J, C) from coefficients to shear forces, in deviations
-        self.hub, self.thick, self.needle = hub, thick, needle
+        self.hub, self.thick = hub, thick
         slope = abs(z[-1] - z[0]) / (x[-1] - x[0])
-        self.view_step = max(VIEW_STEP, VIEW_PART * needle.diameter_mm * slope / (needle.diameter_mm + thick))
-        self.last, self.samples = x[-1], (thick, slices * thick, stations, side)
+        view_step = max(VIEW_STEP, VIEW_PART * needle.diameter_mm * slope / (needle.diameter_mm + thick))
+        columns = np.arange(x[-1] + MM.BEYOND_END, x[-1] - needle.length_mm, -COLUMN_MM)
+        self.to_columns = _extend(
+            basis, columns
+        )  # (columns, C) from coefficients to the axis at the rod's pieces
+        # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
+        true = np.tan(np.radians(needle.bevel_deg))
+        steep = min(true, needle.diameter_mm / COLUMN_MM)
+        # a bevel that projects as the end does reaches farther
+        self.end = x[-1] + radius / steep - radius / true
+        self.rod = Rod(columns, radius, steep, thick, slices * thick, stations, side, view_step)
+        if hub is not None:
+            places, *course = hub.ends.T
+            begin, end = places.tolist()
+            across, along = (np.interp(columns, places, beside) for beside in course)
+            self.held = self.rod.lengths(across, along, end, 0.0, (begin, hub.radius))
         expected = spread or expected_spread(thick)
         profile = np.log(expected.weigh_planes(SENSITIVITY_AT[1:] * thick))
         # what is known of the parameters of the scan (11,), and its deviations
         self.means = np.concatenate([np.log([part.value for part in BEAM]), expected.parameters[:2], profile])
         self.sds = np.concatenate([[part.sd for part in BEAM], expected.sds[:2], PROFILE_SDS])
-
-    def place_rod(self, rough: float) -> Self:
-        """Return the problem of a rod in these samples; pieces, and angles of the views, grow by `rough`."""
-        placed, radius, step = copy(self), self.needle.diameter_mm / 2, rough * COLUMN_MM
-        columns = np.arange(self.last + MM.BEYOND_END, self.last - self.needle.length_mm, -step)
-        placed.to_columns = _extend(self.basis, columns)
-        # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
-        true = np.tan(np.radians(self.needle.bevel_deg))
-        steep = min(true, 2 * radius / step)
-        # a bevel that projects as the end does reaches farther
-        placed.end = self.last + radius / steep - radius / true
-        placed.rod = Rod(columns, radius, steep, *self.samples, rough * self.view_step, rough * VIEW_GROWTH)
-        if self.hub is not None:
-            places, *course = self.hub.ends.T
-            begin, end = places.tolist()
-            across, along = (np.interp(columns, places, beside) for beside in course)
-            placed.held = placed.rod.lengths(across, along, end, 0.0, (begin, self.hub.radius))
-        return placed
 
     def split(self, theta: Floats) -> list[Floats]:
         """Return the parameters of each kind."""
@@ -349,27 +337,28 @@ class _SliceProblem:
         steps = np.eye(2 * count, 2 * count + 2 + len(self.means))
         return np.stack([shapes @ steps[:count], self.thick * shapes @ steps[count:]])
 
-    def solve(self, best: Floats) -> tuple[Floats, Floats, float]:
-        """Return parameters near `best`, their covariance and the model's relative error."""
+    def solve(self) -> tuple[Floats, Floats, float]:
+        """Return the parameters, their covariance and the model's relative error."""
+        best = self.search()
         # with ends before rolls a tip was 0.41 mm short, with both at once 0.01
         best = self.turn(self.descend(best, self.first_scale, ROBUST_SD[0]).x)
         best = self.leave_minima(self.descend(best, self.first_scale, ROBUST_SD[1]).x)
         best = self.descend(self.turn(best), self.first_scale, ROBUST_SD[1]).x
-        scale = self.scale(self.image(self.project(best), best))
-        fit = self.descend(best, scale, ROBUST_SD[1])
-        image = self.image(self.project(fit.x), fit.x)
+        image = self.image(self.project(best), best)
+        jacobian = self.slopes(best, self.scale(image))
         left = np.where(self.seen[..., None], image - self.shown, 0.0) / self.scale(image)
         left /= np.sqrt(1 + (left / ROBUST_SD[1]) ** 2)
         factor = correlation_factor(np.moveaxis(left, 1, 0).reshape(left.shape[1], -1), len(best))
-        covariance = np.linalg.inv(fit.jac.T @ fit.jac) * factor / CORRELATED_SAMPLES
-        return np.asarray(fit.x, float), np.asarray(covariance, float), self.error(image)
+        covariance = np.linalg.inv(jacobian.T @ jacobian) * factor / CORRELATED_SAMPLES
+        return np.asarray(best, float), np.asarray(covariance, float), self.error(image)
 
     def leave_minima(self, best: Floats) -> Floats:
         """Return the parameters of a minimum from whose neighbourhood no fit leads to a lower one.
 
         Fits begin where moves of the axis along the normal lead to the least misfit.
         """
-        _, along = self.moves
+        end = np.eye(len(best))[[2 * len(self.start)]]
+        along = np.vstack([self.moves[1], end])
         moves = np.vstack([size * along for size in MOVE_SIZES])
         while True:
             lowest = self.first_misfit(best)
