@@ -37,11 +37,17 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 pytestmark = pytest.mark.usefixtures("read_here")
 
 NORMAL = np.array([0.48, 0.6, 0.64])
-EXACT = LayerErrors(0.0, np.zeros(len(NEEDLE)))
+NO_ERROR = np.zeros(len(NEEDLE))
+EXACT = LayerErrors(0.0, NO_ERROR)
+GRID = labelled(lambda points: 0 * points[:, 0], shape=(200, 200, 200)).grid
+
+
+def read(*layers, frame=HOME, **changes):
+    return read_layers(scan(*layers, **changes), frame, GRID)
 
 
 def refused(*layers, **changes):
-    error = refusal(DataError, "", lambda: read_layers(scan(*layers, **changes), HOME))
+    error = refusal(DataError, "", lambda: read(*layers, **changes))
     assert "fix: " in str(error)
     return str(error)
 
@@ -64,26 +70,18 @@ def slabs_file(tmp_path_factory):
     return save(tmp_path_factory.mktemp("labels") / "slabs.nii.gz", labelled(slabs))
 
 
-def test_a_plane_through_the_voxels_stays_where_it_is(slabs_file):
+def test_planes_through_the_voxels_stay_where_they_are_and_leave_no_gap(slabs_file):
     """Tilted against a tilted grid of 0.46 mm."""
-    whole, second, third = read_layers(scan(slabs_file), HOME)
-    assert [s.into for s in (whole, second, third)] == [1, 2, 3]
-    assert {s.kind for s in (whole, second, third)} == {"solid"}
-    for surface, height in ((second, -2.0), (third, 3.0)):
+    surfaces = whole, *planes = read(slabs_file)
+    assert [(s.kind, s.into) for s in surfaces] == [("solid", 1), ("solid", 2), ("solid", 3)]
+    for surface, height in zip(planes, (-2.0, 3.0), strict=True):
         points = on(surface)
         within = points[np.linalg.norm(points, axis=1) < 9]
-        assert len(within) > 300
         off = np.abs(within @ NORMAL - height)
-        assert off.mean() < 0.05 and off.max() < 0.2
-    radii = np.linalg.norm(on(whole), axis=1)
-    assert (
-        11.9 < radii.mean() < 12
-    )  # a ball shrinks by s^2 / r = 0.04 mm; the middles of triangles lie within
-
-
-def test_the_last_solid_that_holds_a_point_is_its_layer(slabs_file):
-    # No gap opens between neighbours: away from the boundaries every place has the layer of its label.
-    surfaces = read_layers(scan(slabs_file), HOME)
+        assert len(within) > 300 and off.mean() < 0.05 and off.max() < 0.2
+    # a ball shrinks by s^2 / r = 0.04 mm; the middles of triangles lie within
+    assert 11.9 < np.linalg.norm(on(whole), axis=1).mean() < 12
+    # the last solid that holds a point is its layer: away from the boundaries that of its label
     points = np.random.default_rng(1).uniform(-7, 7, (400, 3))
     clear = np.minimum(np.abs(points @ NORMAL + 2), np.abs(points @ NORMAL - 3)) > 0.15
     held = np.array([surface.contains(points) for surface in surfaces])  # (layers, points)
@@ -122,16 +120,16 @@ def test_files_without_a_segmentation_are_refused(tmp_path, values, words):
 
 
 def test_meshes_are_numbered_and_brought_into_the_world(tmp_path):
-    files = [save_mesh(tmp_path / name, mesh) for name, mesh in (("s.stl", SHEET), ("c.ply", CORE))]
-    one, two = read_layers(scan(*files), HOME)
-    assert (one.kind, one.into, two.kind, two.into) == ("sheet", 2, "solid", 3)
-    stated = LayerSource(files[1], "solid", 2)
-    assert [s.into for s in read_layers(scan(LayerSource(files[0], "sheet", 3), stated), HOME)] == [3, 2]
-    file = files[1]
-    [there] = read_layers(scan(file, surfaces_in="scan"), PATIENT)
-    [here] = read_layers(scan(file), PATIENT)
+    sheet, core = (save_mesh(tmp_path / name, mesh) for name, mesh in (("s.stl", SHEET), ("c.ply", CORE)))
+    assert [(s.kind, s.into) for s in read(sheet, core)] == [("sheet", 2), ("solid", 3)]
+    stated = LayerSource(sheet, "sheet", 3), LayerSource(core, "solid", 2)
+    assert [s.into for s in read(*stated)] == [3, 2]
+    [there] = read(core, frame=PATIENT, surfaces_in="scan")
+    [here] = read(core, frame=PATIENT)
     assert_allclose(there.vertices, PATIENT.to_world(here.vertices), atol=1e-9)
     assert_allclose([here.vertices.min(axis=0), here.vertices.max(axis=0)], CORE.bounds, atol=1e-4)
+    away = save_mesh(tmp_path / "away.stl", CORE.copy().apply_translation([200, 0, 0]))
+    assert str(away) in refused(core, away, surfaces_in="scan")
 
 
 @pytest.mark.parametrize(
@@ -140,7 +138,7 @@ def test_meshes_are_numbered_and_brought_into_the_world(tmp_path):
 )
 def test_axes_stated_by_slicer_are_used(tmp_path, name, space, sign):
     file = save_mesh(tmp_path / name, SHEET, space)
-    [found] = read_layers(scan(file), HOME)
+    [found] = read(file)
     assert sorted(np.round(found.vertices, 4).tolist()) == sorted((SHEET.vertices * sign).round(4).tolist())
 
 
@@ -173,24 +171,23 @@ def tilted(degrees):
     return make_sheet("sheet", (10, 0, 0), (math.cos(angle), math.sin(angle), 0), 100, into=2)
 
 
-def test_depths_count_along_c_and_deviations_grow_as_the_needle_grazes(tmp_path):
+def deviation(degrees, surface=0.0, across=0.0, **more):
+    """The deviation of the depth of a sheet, 10 mm deep, tilted by so many degrees."""
+    errors = LayerErrors(surface, NO_ERROR + across, **more)
+    return find_crossed_layers(NEEDLE, HOME, (tilted(degrees),), errors).sd[0]
+
+
+def test_depths_count_along_c_and_deviations_grow_as_the_needle_grazes():
     frame = Frame(np.array([-2.0, 0, 0]), np.eye(3))
     layers = find_crossed_layers(NEEDLE, frame, (tilted(0), tilted(40)), EXACT)
     assert layers.boundaries == approx([12.0]) and layers.sequence == (1, 2)
     assert_allclose(layers.points, [[10, 0, 0]], atol=1e-9)
     # A surface's own counts by 1 / cos, one across the needle by the tangent of the angle.
-    for degrees in [0.0, 30.0, 60.0]:
+    for degrees in [0.0, 30.0, 60.0, 89.9]:
         angle = math.radians(degrees)
-        own = find_crossed_layers(NEEDLE, HOME, (tilted(degrees),), LayerErrors(0.1, np.zeros(len(NEEDLE))))
-        assert own.sd[0] == approx(0.1 / math.cos(angle), rel=1e-6)
-        across = find_crossed_layers(
-            NEEDLE, HOME, (tilted(degrees),), LayerErrors(0.0, np.full(len(NEEDLE), 0.2))
-        )
-        assert across.sd[0] == approx(0.2 * math.tan(angle), abs=1e-9)
-    layers = find_crossed_layers(NEEDLE, HOME, (tilted(89.9),), LayerErrors(0.1, np.zeros(len(NEEDLE))))
-    assert layers.sd[0] == approx(0.1 / math.cos(math.radians(89.9)), rel=1e-6)
-    errors = LayerErrors(0.4, np.zeros(len(NEEDLE)), along=0.3)
-    assert find_crossed_layers(NEEDLE, HOME, (tilted(0),), errors).sd[0] == approx(0.5)
+        assert deviation(degrees, surface=0.1) == approx(0.1 / math.cos(angle), rel=1e-6)
+        assert deviation(degrees, across=0.2) == approx(0.2 * math.tan(angle), abs=1e-9)
+    assert deviation(0, surface=0.4, along=0.3) == approx(0.5)
 
 
 @pytest.fixture(scope="module")
@@ -204,11 +201,10 @@ def shifted():
 def test_errors_of_the_registration_count_across_the_needle_and_surfaces_move_with_it(
     shifted, slabs_file, tmp_path
 ):
-    errors = LayerErrors(0.4, np.zeros(len(NEEDLE)), registration=shifted)
-    assert find_crossed_layers(NEEDLE, HOME, (tilted(0),), errors).sd[0] == approx(0.4)
+    assert deviation(0, surface=0.4, registration=shifted) == approx(0.4)
     tilt = math.radians(60)
     expected = math.hypot(0.4, 0.3 * math.sin(tilt)) / math.cos(tilt)
-    assert find_crossed_layers(NEEDLE, HOME, (tilted(60),), errors).sd[0] == approx(expected)
+    assert deviation(60, surface=0.4, registration=shifted) == approx(expected)
     recipe, sd = ReconstructionRecord(schema=1), np.zeros(3)
     mesh = save_mesh(tmp_path / "core.stl", CORE)
     pose = EntryPose(np.zeros(3), np.array([1.0, 0, 0]), "shaft", 0.1, 0.01, 0.2)
@@ -262,14 +258,10 @@ def sheet_at(*place, size=60):
     return find_crossed_layers(NEEDLE, HOME, (make_sheet("skin", place, (1, 0, 0), size, into=2),), EXACT)
 
 
-def without(left_out):
-    """Two layers, parted at x = 0, in a ball of 12 mm; 0 where `left_out` of LPS points says so."""
-
-    def label(points):
-        inside = (np.linalg.norm(points, axis=1) < 12) & ~left_out(points)
-        return (1 + (points[:, 0] > 0)) * inside
-
-    return label
+def drilled(points, end):
+    """Two layers, parted at x = 0, in a ball of 12 mm, without a tunnel of 1.5 mm around x < end."""
+    tunnel = (np.hypot(points[:, 1], points[:, 2]) < 1.5) & (points[:, 0] < end)
+    return (1 + (points[:, 0] > 0)) * (np.linalg.norm(points, axis=1) < 12) * ~tunnel
 
 
 AXIS = np.column_stack([np.linspace(-20, 8, 60), np.zeros((60, 2))])
@@ -279,8 +271,7 @@ AXIS = np.column_stack([np.linspace(-20, 8, 60), np.zeros((60, 2))])
 @pytest.mark.parametrize("end", [8.0, 20.0])
 def test_layers_drawn_around_the_needle_are_refused(end, tmp_path):
     """Within 1.5 mm of it voxels are 0, up to its tip, where both layers would be crossed, or beyond."""
-    tunnel = without(lambda p: (np.hypot(p[:, 1], p[:, 2]) < 1.5) & (p[:, 0] < end))
-    source = scan(save(tmp_path / "tunnel.nrrd", labelled(tunnel)), layers=2)
+    tunnel = save(tmp_path / "tunnel.nrrd", labelled(lambda p: drilled(p, end)))
     with pytest.raises(DataError, match=r"around the needle.*layer_1 \(along (19|20) mm\), layer_2") as error:
-        refuse_tunnels(read_layers(source, HOME), AXIS)
+        refuse_tunnels(read(tunnel), AXIS)
     assert "voxels" in error.value.fix

@@ -35,7 +35,7 @@ COMMANDS: tuple[tuple[str, Callable[..., None], str, tuple[str, ...]], ...] = (
         "reconstruct",
         reconstruct.reconstruct,
         "scans.csv --out data/mine",
-        ("jobs", "scheduler", "insecure", "resume", "strict", "json", "quiet", "plugins"),
+        ("jobs", "scheduler", "insecure", "strict", "json", "quiet", "plugins"),
     ),
     ("new project", data.new_project, "myproject", ()),
     ("new workbook", data.new_workbook, "needles.xlsx", ()),

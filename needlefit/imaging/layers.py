@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import find_objects, gaussian_filter
 from scipy.special import ndtri
 
 from needlefit.arrays import Floats
@@ -59,11 +59,11 @@ def extract_label_surfaces(path: Path) -> tuple[Surface, ...]:
         order = np.zeros(int(labels.volume.values.max()) + 1, dtype=np.uint8)
         order[[*labels.names]] = np.arange(1, len(labels.names) + 1)
         layers = order[labels.volume.values.astype(np.uint16)]  # (K, J, I), 0 outside
-        inside = [np.flatnonzero(layers.any(axis=(axis - 1, axis - 2))) for axis in range(3)]
-        low = np.array([where[0] for where in inside])  # the box around all labels
-        layers = layers[tuple(slice(int(where[0]), int(where[-1]) + 1) for where in inside)]
+        (box,) = find_objects(np.minimum(layers, 1))
+        low = np.array([part.start for part in box])
         return tuple(
-            _extract_surface(layers >= layer, low, layer, labels) for layer in range(1, len(labels.names) + 1)
+            _extract_surface(layers[box] >= layer, low, layer, labels)
+            for layer in range(1, len(labels.names) + 1)
         )
 
 
@@ -73,20 +73,17 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
 
     spacing = labels.volume.spacing[::-1]
     block = np.maximum(np.rint(CELL_MM / spacing), 1).astype(np.int64)
-    before = block  # around the labels: what leaves the volume is closed there
-    pads = [(b, int(b + (-size) % step)) for b, size, step in zip(before, mask.shape, block, strict=True)]
-    cells = block_reduce(np.pad(mask, pads), tuple(block.tolist()), np.mean)
+    # one cell around the labels: what leaves the volume is closed there
+    cells = block_reduce(np.pad(mask, block[:, None]), tuple(block.tolist()), np.mean)
     width = np.maximum(SMOOTHING_SD_MM, spacing) / (block * spacing)
     average = gaussian_filter(cells.astype(np.float32), width, mode="constant")
     # inverse of the smoothing of a plane; 0 and 1 would become infinite
     least = np.finfo(average.dtype).eps
     distance = ndtri(np.clip(average, least, 1 - least))
-    distance = np.where(
-        np.abs(distance) < MIN_CORNER_DISTANCE_SD, np.copysign(MIN_CORNER_DISTANCE_SD, distance), distance
-    )
+    distance[np.abs(distance) < MIN_CORNER_DISTANCE_SD] = MIN_CORNER_DISTANCE_SD
     vertices, faces, _, _ = marching_cubes(distance, 0.0)
     # a cell's centre lies (block - 1) / 2 voxels after its first voxel; the padding comes off
-    kji = vertices * block + (block - 1) / 2 - before + low
+    kji = (vertices - 1) * block + (block - 1) / 2 + low
     points = to_patient(labels.volume, kji[:, ::-1])
     name, last = [*labels.names.values()][layer - 1], layer == len(labels.names)
     surface, loose = extract_solid(
@@ -100,40 +97,29 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
             expected="layers in one piece, one within or behind the other, in the order of the segments",
             fix="label bubbles and the needle as the tissue around them, remove islands, sort the segments",
         )
-    for fault in find_surface_faults(surface, Path()):
-        raise DataError(
-            f"the surface of {place} {fault.what}",
-            expected="a closed boundary",
-            fix="smooth the segmentation, and remove layers thinner than a voxel",
-        )
     return surface
 
 
-def read_mesh(source: LayerSource, into: int, all_faults: list[Fault]) -> Surface | None:
-    """Return the surface in an STL, PLY or OBJ file; None after a fault.
+def read_mesh(source: LayerSource, into: int) -> Surface:
+    """Return the surface in an STL, PLY or OBJ file.
 
     A file of which 3D Slicer says that it stands in RAS is turned to LPS; one that says nothing is taken as
-    it is. Without a stated kind, what is closed is a solid.
+    it is. Without a stated kind, what is closed is a solid. DataError, listing every fault of the file.
     """
-    try:
-        surface = read_surface(source.path, source.kind or "sheet", into)
-    except DataError as error:
-        all_faults.append(make_file_fault(error, source.path))
-        return None
+    surface = read_surface(source.path, source.kind or "sheet", into)
     if source.kind is None and surface.is_closed:
         surface = replace(surface, kind="solid")
     faults = list(find_surface_faults(surface, source.path))
     if source.kind is None and surface.kind == "sheet" and not faults:
         fix = f"close the hole, or list it as {source.path.name}=sheet:{into}"
         faults = list(find_hole(surface, source.path, fix))
-    all_faults += faults
     if faults:
-        return None
+        raise as_error(faults, source.path)
     stands_in_ras = read_coordinate_system(source.path) == "RAS"
     return transform_surface(surface, RAS_TO_LPS) if stands_in_ras else surface
 
 
-def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tuple[Surface, ...]:
+def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid) -> tuple[Surface, ...]:
     """Return the surfaces of the layers in the world.
 
     A mesh leads into layer 2, 3, ... by its place in the list, unless it says otherwise; it is a solid where
@@ -144,55 +130,33 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
 
     DataError: listing every fault of every file. A layer without a surface is a fault of the dataset.
     """
-    faults, surfaces = list[Fault](), list[Surface]()
-    segmented = next((source for source in scan.surfaces if source.is_segmentation), None)
-    if segmented is not None and len(scan.surfaces) > 1:
-        names = ", ".join(source.path.name for source in scan.surfaces)
-        note_fault(
-            faults,
-            segmented.path,
-            f"lists a segmentation beside other surfaces: {names}",
-            "meshes, or one segmentation",
-            "list it alone",
-        )
-    elif segmented is not None:
-        try:
-            surfaces += extract_label_surfaces(segmented.path)
-        except DataError as error:
-            faults.append(error)
-    else:
-        place = 2
-        for source in scan.surfaces:
-            if (mesh := read_mesh(source, source.into or place, faults)) is not None:
-                surfaces.append(mesh)
-            place += source.into != 1  # the tissue's own takes no place
-    for n, surface in enumerate(surfaces):
-        if any(np.array_equal(surface.vertices, other.vertices) for other in surfaces[:n]):
-            note_fault(
-                faults,
-                scan.volume,
-                f"lists the surface {surface.name} twice: one layer would be left out",
-                "a surface of its own for each layer",
-                "name the file of the other layer",
-            )
+    faults, surfaces, into = list[Fault](), list[Surface](), 2
     within = layers_in_scan(scan)
-    world = tuple(transform_surface(surface, patient) if within else surface for surface in surfaces)
-    if grid is not None and within:  # others may be larger than what was scanned
-        for surface in world:
-            steps = to_index(grid, patient.to_local(surface.vertices))
+    for source in scan.surfaces:
+        try:
+            drawn = (
+                extract_label_surfaces(source.path)
+                if source.is_segmentation
+                else (read_mesh(source, source.into or into),)
+            )
+        except DataError as error:
+            faults.append(make_file_fault(error, source.path))
+            drawn = ()
+        surfaces += drawn
+        into += source.into != 1  # the tissue's own takes no place
+        for surface in drawn if within else ():  # others may be larger than what was scanned
+            steps = to_index(grid, surface.vertices)
             if (steps.max(axis=0) < -0.5).any() or (steps.min(axis=0) > np.array(grid.size) - 0.5).any():
-                # a mesh is called as its file, all others are of the first
-                paths = (source.path for source in scan.surfaces if source.path.stem == surface.name)
                 note_fault(
                     faults,
-                    next(paths, scan.surfaces[0].path),
+                    source.path,
                     f"the surface {surface.name} lies outside the scan {scan.volume}",
                     "surfaces and scan in one place",
                     "see whether it belongs to this scan, stands in its frame or the world's, in LPS or RAS",
                 )
     if faults:
         raise as_error(faults, scan.volume)
-    return world
+    return tuple(transform_surface(surface, patient) if within else surface for surface in surfaces)
 
 
 def layers_in_scan(scan: Scan) -> bool:

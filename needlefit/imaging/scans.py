@@ -160,9 +160,12 @@ def _locate(file: str, info: ValidationInfo) -> Path:
 
 
 def _parse_layers(text: str, info: ValidationInfo) -> tuple[LayerSource, ...]:
-    return tuple(
-        _parse_layer(part.strip(), Path(info.context or "")) for part in text.split(";") if part.strip()
-    )
+    parts = filter(None, map(str.strip, text.split(";")))
+    layers = tuple(_parse_layer(part, Path(info.context or "")) for part in parts)
+    alone = len(layers) == 1 or not any(layer.is_segmentation for layer in layers)
+    if not alone or len({layer.path for layer in layers}) < len(layers):
+        raise ValueError("one segmentation of all layers, or a mesh for each, none twice")
+    return layers
 
 
 def _parse_layer(text: str, folder: Path) -> LayerSource:

@@ -94,12 +94,7 @@ def _import(path):
 
 
 def _mesh(path):
-    found = []
-    source = _late("imaging.scans.LayerSource")(path)
-    surface = _late("imaging.layers.read_mesh")(source, 2, found)
-    if found:
-        raise _late("datasets.faults.as_error")(found, path)
-    return surface
+    return _late("imaging.layers.read_mesh")(_late("imaging.scans.LayerSource")(path), 2)
 
 
 # ---- own files
