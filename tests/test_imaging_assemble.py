@@ -14,7 +14,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import transform_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked, assemble_dataset
-from needlefit.imaging.batch import ReconstructionBatch, reconstruct_all
+from needlefit.imaging.batch import reconstruct_all
 from needlefit.imaging.reconstruct import collect_warnings
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import read_scans
@@ -31,7 +31,7 @@ def small():
     """The shipped sample with the pose of its shaft and the one surface that its needle crosses."""
     (scan,) = read_scans(shipped_folder() / "data" / "sample_scan" / "scans.csv")
     free = replace(scan, stage=None, bevel=None, layers=None, layers_alternative=None)
-    ((one,),) = reconstruct_all([free], RECIPE, ReconstructionBatch())
+    ((one,),) = reconstruct_all([free], RECIPE)
     return replace(one, layers=replace(one.layers, surfaces=one.layers.surfaces[:1]))
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from needlefit.errors import DataError
 from needlefit.imaging import batch
-from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
+from needlefit.imaging.batch import ReconstructionFailure, reconstruct_all
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import read_scans
 from needlefit.project.checkpoint import open_checkpoint
@@ -28,13 +28,13 @@ def test_an_error_of_the_program_is_no_error_of_the_scan(sample, monkeypatch):
 
     monkeypatch.setattr(batch, "examine", broken)
     with pytest.raises(ZeroDivisionError):
-        reconstruct_all([sample], RECIPE, ReconstructionBatch())
+        reconstruct_all([sample], RECIPE)
 
 
 def test_a_batch_makes_scans_again_that_are_not_kept_and_its_results_are_the_same(
     sample, monkeypatch, tmp_path
 ):
-    ((whole,),) = reconstruct_all([sample], RECIPE, ReconstructionBatch())
+    ((whole,),) = reconstruct_all([sample], RECIPE)
     made = []
 
     def reconstruct(scan, **_):
@@ -48,10 +48,8 @@ def test_a_batch_makes_scans_again_that_are_not_kept_and_its_results_are_the_sam
     checkpoint = open_checkpoint(tmp_path / "out.partial", False, {"scans": 3})
 
     def run(scans=scans, stop=lambda: False):
-        kept = ReconstructionBatch(
-            stop=stop, checkpoint=checkpoint, name_work=lambda scan: f"{scan.id} {scan.answers}"
-        )
-        return [result for (result,) in reconstruct_all(scans, RECIPE, kept)]
+        options = {"checkpoint": checkpoint, "name_work": lambda scan: f"{scan.id} {scan.answers}"}
+        return [result for (result,) in reconstruct_all(scans, RECIPE, stop=stop, **options)]
 
     assert len(run(stop=lambda: len(made) == 2)) == 2
     first, failure, last = run()

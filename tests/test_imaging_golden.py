@@ -8,7 +8,7 @@ import pytest
 from golden_numbers import assert_golden
 from scanner.render import SceneMarkers
 
-from needlefit.imaging.batch import ReconstructionBatch, reconstruct_all
+from needlefit.imaging.batch import reconstruct_all
 from needlefit.imaging.reconstruct import Examination, VolumeSearch, examine
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Scan, read_scans
@@ -33,7 +33,7 @@ def assert_same(name: str, one: Reconstruction) -> None:
 def test_the_shipped_sample(pose):
     (scan,) = read_scans(shipped_folder() / "data" / "sample_scan" / "scans.csv")
     scan = scan if pose == "stage" else replace(scan, stage=None, bevel=None)
-    ((one,),) = reconstruct_all([scan], ReconstructionRecord(schema=1), ReconstructionBatch())
+    ((one,),) = reconstruct_all([scan], ReconstructionRecord(schema=1))
     assert isinstance(one, Reconstruction), one
     assert_same(f"sample_{pose}", one)
 

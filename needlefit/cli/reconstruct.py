@@ -103,7 +103,7 @@ def reconstruct(
     with begin(context) as execution:
         from needlefit.datasets.read import inspect
         from needlefit.imaging.assembly import DatasetDescription
-        from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
+        from needlefit.imaging.batch import ReconstructionFailure, reconstruct_all
         from needlefit.imaging.corrections import correct_scans, list_control_points
         from needlefit.imaging.scans import scan_id
         from needlefit.project.checkpoint import (
@@ -158,8 +158,9 @@ def reconstruct(
         checkpoint = open_checkpoint(partial, True, {"kind": "reconstruction"}, print_remark)
         with show_progress(invocation.quiet) as report:
             with open_pool(invocation, MAX_DEFAULT_JOBS) as pool:
-                batch = ReconstructionBatch(pool, report, execution.stop, every, checkpoint, name_work)
-                scanned = reconstruct_all(wanted, record, batch)
+                scanned = reconstruct_all(
+                    wanted, record, every, pool, report, execution.stop, checkpoint, name_work
+                )
             if len(scanned) < len(wanted):
                 raise execution.interrupted()
             results = [result for needles in scanned for result in needles]

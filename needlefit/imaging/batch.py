@@ -23,7 +23,7 @@ from needlefit.imaging.reconstruction import CurvePicture, Reconstruction, pictu
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume, explain_refusal
 from needlefit.imaging.volume_files import read_volume
-from needlefit.project.callbacks import Note, Progress, Stop, never_stop, no_progress
+from needlefit.project.callbacks import Progress, Stop, never_stop, no_progress
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
 from needlefit.project.processes import one_thread
 from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool
@@ -43,18 +43,6 @@ class ReconstructionFailure:
     warnings: tuple[str, ...] = ()  # what a person should know of the scan's files
     picture: CurvePicture | None = None  # of what was taken for the needle
     asked: bool = False  # whether a person may choose an answer about the entry
-
-
-@dataclass(frozen=True)
-class ReconstructionBatch:
-    """Options of a batch: where it runs, and callbacks."""
-
-    pool: TaskPool = THIS_PROCESS  # where scans are reconstructed; each takes several times its own memory
-    progress: Progress = no_progress  # called with a scan and its stage, and percent done, of 100 a scan
-    stop: Stop = never_stop  # whether to begin no further scan
-    every: bool = False  # whether each needle of a scan is reconstructed
-    checkpoint: Checkpoint = NO_CHECKPOINT  # keeps the results of finished scans, which are not made again
-    name_work: Callable[[Scan], str] = attrgetter("id")  # what the results of a scan are kept under
 
 
 def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
@@ -87,31 +75,44 @@ class ScanResults:
 
 
 def reconstruct_all(
-    scans: Sequence[Scan], recipe: ReconstructionRecord, batch: ReconstructionBatch
+    scans: Sequence[Scan],
+    recipe: ReconstructionRecord,
+    every: bool = False,
+    pool: TaskPool = THIS_PROCESS,
+    progress: Progress = no_progress,
+    stop: Stop = never_stop,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
+    name_work: Callable[[Scan], str] = attrgetter("id"),
 ) -> tuple[tuple[Result, ...], ...]:
     """Return for every scan, in their order, the reconstruction or failure of its needle, or of each needle.
 
     Of fewer scans after a stop.
+
+    `every`: whether each needle of a scan is reconstructed.
+    `pool`: where scans are reconstructed; each takes several times its own memory.
+    `progress`: called with a scan and its stage, and percent done, of 100 a scan.
+    `stop`: whether to begin no further scan.
+    `checkpoint`: keeps the results of finished scans, which are not made again, by what `name_work` returns.
     """
-    works = [batch.name_work(scan) for scan in scans]
-    kept = [batch.checkpoint.read(work, ScanResults) for work in works]
+    works = [name_work(scan) for scan in scans]
+    kept = [checkpoint.read(work, ScanResults) for work in works]
     found = {n: results.needles for n, results in enumerate(kept) if results is not None}
     todo = [n for n in range(len(scans)) if n not in found]
 
     def report(stage: str, done: int = 0, total: int = 1) -> None:
         share = (len(found) + done / total) * STAGES["quality page"]
-        batch.progress(stage, round(share), 100 * len(scans))
+        progress(stage, round(share), 100 * len(scans))
 
     report("reconstructing")
-    work = partial(reconstruct_needles, recipe=recipe, every=batch.every)
-    if isinstance(batch.pool, LocalPool) and (batch.pool.size == 1 or len(todo) == 1):
+    work = partial(reconstruct_needles, recipe=recipe, every=every)
+    if isinstance(pool, LocalPool) and (pool.size == 1 or len(todo) == 1):
         work = partial(work, progress=report)  # not from other processes
-    for place, needles in batch.pool.run(work, [scans[n] for n in todo], batch.stop):
+    for place, needles in pool.run(work, [scans[n] for n in todo], stop):
         n = todo[place]
         found[n] = needles
         # what is refused may not be, once the reader that it lacks is installed
         if all(isinstance(result, Reconstruction) for result in needles):
-            batch.checkpoint.keep(works[n], ScanResults(needles))
+            checkpoint.keep(works[n], ScanResults(needles))
         report(scans[n].id)
     return tuple(found[n] for n in sorted(found))
 
@@ -141,24 +142,20 @@ def reconstruct_needles(
             )
     except NeedlefitError as error:
         return (ReconstructionFailure(scan, error),)
-    results = []
+    results = list[Result]()
     for n, needle in enumerate(needles):
 
         def report(stage: str, n: int = n, id_: str = needle.id) -> None:
             share = n + STAGES[stage] / STAGES["quality page"]
             progress(f"{id_}: {stage}", round(100 * share), 100 * len(needles))
 
-        results.append(_reconstruct_needle(search, needle, report))
+        found = Examination(needle)
+        try:
+            with located(scan.volume):
+                results.append(examine(found, search, report))
+        except NeedlefitError as error:
+            results.append(_describe_failure(search.volume, found, error))
     return tuple(results)
-
-
-def _reconstruct_needle(search: VolumeSearch, scan: Scan, report: Note) -> Result:
-    found = Examination(scan)
-    try:
-        with located(scan.volume):
-            return examine(found, search, report)
-    except NeedlefitError as error:
-        return _describe_failure(search.volume, found, error)
 
 
 def _describe_failure(volume: Volume, found: Examination, error: NeedlefitError) -> ReconstructionFailure:

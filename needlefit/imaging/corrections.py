@@ -24,9 +24,9 @@ KINDS = ("axis", "tip", "entry", "ball")
 # distance (mm) of a control point from its place in the result below which it was not moved
 MIN_MOVE_MM = 0.01
 _LABEL = re.compile(rf"({'|'.join(KINDS)})( *\d+)?", re.IGNORECASE)
-_NUMBER = r"(-?\d+\.\d+)"
-_FOUND = re.compile(rf"found at L, P, S = {_NUMBER}, {_NUMBER}, {_NUMBER} mm")
-_BALLS = re.compile(r", one of (\d+) balls")  # behind it: a ball that was removed is missed by the others
+_PLACE = ", ".join(3 * [r"(-?\d+\.\d+)"])
+# the number of balls: one that was removed is missed by the others
+_FOUND = re.compile(rf"found at L, P, S = {_PLACE} mm(?:, one of (\d+) balls)?")
 
 
 def make_control_points(
@@ -86,32 +86,30 @@ def read_corrections(path: Path) -> dict[str, Corrections]:
 
 
 def _parse_corrections(markups: Markups) -> Corrections:
-    kinds = [_LABEL.fullmatch(label.strip()) for label in markups.labels]
-    unknown = [label for label, kind in zip(markups.labels, kinds, strict=True) if kind is None]
-    if unknown:
+    labels = [_LABEL.fullmatch(label.strip()) for label in markups.labels]
+    if None in labels:
         raise DataError(
-            f"the point `{unknown[0]}` has no known label",
+            f"the point `{markups.labels[labels.index(None)]}` has no known label",
             expected=f"{', '.join(KINDS)}, with or without a number",
             fix="rename the point in 3D Slicer, or remove it",
         )
-    names = np.array([kind[1].lower() for kind in kinds if kind])
+    kinds = np.array([label[1].lower() for label in labels if label])
     stated = [_FOUND.search(text) for text in markups.descriptions]
-    before = np.array([match.groups() if match else (np.nan,) * 3 for match in stated], dtype=np.float64)
-    moved = ~(np.linalg.norm(markups.points - before, axis=1) <= MIN_MOVE_MM)  # what was added, too
-    places = {name: markups.points[(names == name) & moved] for name in KINDS}
-    for name in ("tip", "entry"):
-        if len(places[name]) > 1:
+    found = np.array([match.groups("nan") if match else 4 * ("nan",) for match in stated], dtype=np.float64)
+    moved = ~(np.linalg.norm(markups.points - found[:, :3], axis=1) <= MIN_MOVE_MM)  # what was added, too
+    places = {kind: markups.points[(kinds == kind) & moved] for kind in KINDS}
+    for kind in ("tip", "entry"):
+        if len(places[kind]) > 1:
             raise DataError(
-                f"{len(places[name])} points are called {name}", expected="one", fix="remove the others"
+                f"{len(places[kind])} points are called {kind}", expected="one", fix="remove the others"
             )
-    is_ball = names == "ball"
-    counts = [int(match[1]) for match in map(_BALLS.search, markups.descriptions) if match]
-    removed = max(counts, default=0) > np.count_nonzero(is_ball & np.isfinite(before).all(axis=1))
+    counts = found[np.isfinite(found[:, 3]), 3]
+    changed = len(places["ball"]) or len(counts) < counts.max(initial=0)
     return Corrections(
         axis=places["axis"] if len(places["axis"]) else None,
         tip=next(iter(places["tip"]), None),
         entry=next(iter(places["entry"]), None),
-        balls=markups.points[is_ball] if removed or len(places["ball"]) else None,
+        balls=markups.points[kinds == "ball"] if changed else None,
     )
 
 

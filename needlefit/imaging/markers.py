@@ -4,7 +4,6 @@ A ball that hangs together with its neighbour at one level stands alone at a hig
 shows at a low one.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.errors import DataError
 from needlefit.geometry.frames import AXIS_SIGNS
-from needlefit.imaging.bright_voxels import MAX_LISTED_VOXELS, BrightVoxels
+from needlefit.imaging.bright_voxels import MAX_LISTED_VOXELS
 from needlefit.imaging.constants import HU, MM, PART, SCANNER, SD
 from needlefit.imaging.point_spread import average_spreads
 from needlefit.imaging.reconstruction import MarkerResult
@@ -27,34 +26,36 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 LEVEL_RATIO = 1.35  # ratio of one level above tissue to the one before
 
 
-def find_blobs(
-    volume: Volume, bright: BrightVoxels, levels: Sequence[float], diameter: float, exclude: Ints | None
-) -> list[Blob]:
-    """Return the components above one of the levels (HU) that may be a ball, the most similar in size first.
+def find_blobs(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None) -> list[Blob]:
+    """Return the components above a level that may be a ball, the most similar in size first.
 
-    They have about the size of one of `diameter`, mm, and are about as long as wide.
+    They have about the size of one of `recipe.markers.diameter_mm`, and are about as long as wide.
 
     `exclude`: (N, 3) or None; voxels of the needle: what holds one of them is left out.
     """
-    low = _voxel_count(volume, PART.BALL_DIAMETERS[0] * diameter)
-    high = _voxel_count(volume, max(PART.BALL_DIAMETERS[1] * diameter, diameter + MM.BLUR_REACH))
-    steps, found = volume.direction * volume.spacing, list[Blob]()
-    for level in levels:
-        for voxels in bright.list_parts(level, (low, high), without=exclude):
-            # diameter of a ball of the same volume
-            own = (6 / np.pi * len(voxels) * float(np.prod(volume.spacing))) ** (1 / 3)
+    diameter, threshold = recipe.markers.diameter_mm, recipe.markers.threshold_hu
+    levels = np.array([threshold], dtype=np.float64)
+    if threshold is None:  # levels up to the brightest voxel
+        height = max((float(volume.values.max()) - volume.tissue) / HU.METAL_CONTRAST, 1.0)
+        steps = np.arange(1 + np.log(height) // np.log(LEVEL_RATIO))
+        levels = volume.tissue + HU.METAL_CONTRAST * LEVEL_RATIO**steps
+    bright = volume.list_bright(float(levels[0]))
+    # the diameter of a ball of one voxel's volume
+    unit = (6 / np.pi * float(np.prod(volume.spacing))) ** (1 / 3)
+    least, largest = PART.BALL_DIAMETER * diameter, diameter + MM.BLUR_REACH
+    sizes = max(4.0, (least / unit) ** 3), max(4.0, (largest / unit) ** 3)
+    axes, blobs = volume.direction * volume.spacing, list[Blob]()
+    for level in levels.tolist():
+        if np.count_nonzero(bright.values > level) > MAX_LISTED_VOXELS:
+            continue
+        for voxels in bright.list_parts(level, sizes, without=exclude):
             # 1/12 is the variance within a voxel: a single layer of voxels still has a thickness
-            moments = steps @ (np.cov(voxels.T, bias=True) + np.eye(3) / 12) @ steps.T
+            moments = axes @ (np.cov(voxels.T, bias=True) + np.eye(3) / 12) @ axes.T
             extents = np.sqrt(np.linalg.eigvalsh(moments))
             if extents[-1] <= PART.BALL_ELONGATION * extents[0]:
                 middle = to_patient(volume, voxels.mean(axis=0)[None])[0]
-                found.append(Blob(voxels, level, own, middle))
-    return sorted(found, key=lambda blob: abs(np.log(blob.diameter / diameter)))
-
-
-def _voxel_count(volume: Volume, diameter: float) -> float:
-    """Return how many voxels a ball has."""
-    return max(4.0, np.pi / 6 * diameter**3 / float(np.prod(volume.spacing)))
+                blobs.append(Blob(voxels, level, unit * len(voxels) ** (1 / 3), middle))
+    return sorted(blobs, key=lambda blob: abs(np.log(blob.diameter / diameter)))
 
 
 def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None) -> MarkerResult:
@@ -65,25 +66,14 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
 
     `exclude`: (N, 3); voxels i, j, k of the needle, never a marker.
     """
-    rules = recipe.markers
-    diameter, levels = rules.diameter_mm, np.array([rules.threshold_hu], dtype=np.float64)
-    if rules.threshold_hu is None:  # levels up to the brightest voxel
-        height = max((float(volume.values.max()) - volume.tissue) / HU.METAL_CONTRAST, 1.0)
-        steps = np.arange(1 + np.log(height) // np.log(LEVEL_RATIO))
-        levels = volume.tissue + HU.METAL_CONTRAST * LEVEL_RATIO**steps
-    listed = volume.list_bright(float(levels[0]))
-    shown = [
-        level for level in levels.tolist() if np.count_nonzero(listed.values > level) <= MAX_LISTED_VOXELS
-    ]
-    tried: list[Floats] = []
-    balls: list[SphereFit] = []
-    for blob in find_blobs(volume, listed, shown, diameter, exclude):
+    radius, tried, balls = recipe.markers.diameter_mm / 2, list[Floats](), list[SphereFit]()
+    for blob in find_blobs(volume, recipe, exclude):
         # the same ball appears at several levels: it is fitted once
-        if any(np.linalg.norm(blob.middle - place) < diameter / 2 for place in tried):
+        if any(np.linalg.norm(blob.middle - place) < radius for place in tried):
             continue
         tried.append(blob.middle)
-        ball = fit_sphere(volume, blob, diameter / 2)
-        if _is_whole(volume, ball, blob.middle, rules.max_misfit):
+        ball = fit_sphere(volume, blob, radius)
+        if _is_whole(volume, ball, blob.middle, recipe.markers.max_misfit):
             tried.append(ball.center)
             balls.append(ball)
     return MarkerResult(
