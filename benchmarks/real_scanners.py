@@ -58,9 +58,9 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import ReconstructionFailure, reconstruct_needles
+from needlefit.imaging.checks import list_tip_warnings
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.needle.segmentation import select_needle
-from needlefit.imaging.reconstruct import list_tip_warnings
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume_files import read_volume

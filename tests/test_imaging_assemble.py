@@ -15,7 +15,7 @@ from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import transform_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked, assemble_dataset
 from needlefit.imaging.batch import reconstruct_all
-from needlefit.imaging.reconstruct import collect_warnings
+from needlefit.imaging.checks import collect_warnings
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import read_scans
 from needlefit.project.locate import shipped_folder

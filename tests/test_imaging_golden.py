@@ -22,6 +22,8 @@ BALLS = cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 
 def assert_same(name: str, one: Reconstruction) -> None:
     found, layers = {**vars(one)}, one.layers
     del found["scan"]
+    derived = ("depth", "depth_sd", "target_error", "sections")
+    found |= {name: getattr(one, name) for name in derived}
     found |= {"layers": [layers.boundaries, layers.sd, layers.points]}
     # processors differ in where a search for the tip ends, by 0.0005 mm; that decides these, mm, HU and rad
     wide = {".roll_sd": 5e-2, ".bevel": 5e-3, ".depth_sd": 3e-3, ".tip_sd": 3e-3, ".misfit": 2e-4}

@@ -27,8 +27,8 @@ from refusals import refusal
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import make_sheet
+from needlefit.imaging.checks import check_layers, refuse_tunnels
 from needlefit.imaging.layers import LayerErrors, estimate_layer_errors, find_crossed_layers, read_layers
-from needlefit.imaging.reconstruct import check_layers, refuse_tunnels
 from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.registration import register
 from needlefit.imaging.scans import LayerSource, StagePose

@@ -122,9 +122,9 @@ def _dataset_record(
     sd = float(np.sqrt(np.mean(np.concatenate([scanned.sd for scanned in reconstructions]) ** 2)))
     registered = float(np.mean([scanned.target_error.mean() for scanned in reconstructions]))
     confirmed = {
-        f"entry of {scanned.scan.id}": f"{scanned.depth:.2f} mm deep; {scanned.confirmed}"
+        f"entry of {scanned.scan.id}": f"{scanned.depth:.2f} mm deep; {scanned.entry.confirmed}"
         for scanned in reconstructions
-        if scanned.confirmed
+        if scanned.entry.confirmed
     }
     return DatasetRecord(
         **about | {"title": description.title or description.name, "media": media},

@@ -15,13 +15,7 @@ from scipy.special import ndtr, ndtri
 
 from needlefit.arrays import Floats
 from needlefit.imaging.constants import HU, MM, PART, PROBABILITY, SCANNER
-from needlefit.imaging.needle.axis_spline import (
-    PLANE_SPACING_MM,
-    correlation_factor,
-    disc_points,
-    frames_along,
-    sample_planes,
-)
+from needlefit.imaging.needle.axis_spline import correlation_factor, disc_points, frames_along, sample_planes
 from needlefit.imaging.reconstruction import IntensityProfile, MaterialKind, MaterialRun
 from needlefit.imaging.volume import Volume
 
@@ -31,7 +25,7 @@ SAMPLES = 4  # of the brightness for each station, interpolated: so many count a
 
 
 def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> IntensityProfile:
-    """Return the brightness of the needle and of its surroundings at each station.
+    """Return the brightness around the needle at each station.
 
     The surroundings are the median of a ring: rays, which fill a part of it, do not count. Points outside the
     volume and on markers are left out, with those opposite. Where most of the ring is metal, it is a hub or a
@@ -42,30 +36,27 @@ def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> Intensity
     """
     where = frames_along(np.asarray(points, dtype=np.float64))
     ring = sample_planes(volume, where, RING)
-    metal = _row_medians(ring, PART.SHOWN)
+    metal = _row_medians(ring)
     ring = np.where(ring < HU.METAL, ring, np.nan)
     ring = np.where(np.isfinite(ring[:, ::-1]), ring, np.nan)  # the same disc, turned round
-    core = sample_planes(volume, where, disc_points(PLANE_SPACING_MM))
-    around = np.where(metal > HU.METAL, metal, _row_medians(ring, PART.SHOWN))
-    return IntensityProfile(np.asarray(s, dtype=np.float64), _row_medians(core, 1.0), around)
+    around = np.where(metal > HU.METAL, metal, _row_medians(ring))
+    return IntensityProfile(np.asarray(s, dtype=np.float64), around)
 
 
-def _row_medians(values: Floats, least: float) -> Floats:
-    """Return the median (N,) of each row's known values; nan where fewer than the part `least` is known."""
-    enough = np.isfinite(values).mean(axis=1) >= least
+def _row_medians(values: Floats) -> Floats:
+    """Return the median (N,) of each row's known values; nan where these are too few."""
+    enough = np.isfinite(values).mean(axis=1) >= PART.SHOWN
     middle = np.full(len(values), np.nan)
     if enough.any():
         middle[enough] = np.nanmedian(values[enough], axis=1)
     return middle
 
 
-def list_materials(
-    profile: IntensityProfile, tip: float, thickness: float | None = None
-) -> tuple[MaterialRun, ...]:
+def list_materials(profile: IntensityProfile, tip: float) -> tuple[MaterialRun, ...]:
     """Return what the needle passes from its base to its `tip`, mm: runs of about one brightness.
 
     A run begins where the brightness along the needle changes fastest: a streak, which fades slowly, begins
-    none. Blur may hide where a thin guide on the tissue ends: its `thickness`, mm, says where to compare.
+    none.
     """
     visible = np.isfinite(profile.around) & (profile.s <= tip)
     if np.count_nonzero(visible) < 2:
@@ -74,15 +65,6 @@ def list_materials(
     s = np.arange(first, last, MM.STATION / SAMPLES)
     values = np.interp(s, profile.s[visible], profile.around[visible])
     places, rises = _find_changes(s, values)
-    faces = places[(rises >= HU.METAL_CONTRAST) & (places < s[-1] - MM.EDGE_BLUR)]
-    if thickness and MM.BLUR_CORE <= thickness <= MM.EDGE_BLUR and len(faces):
-        end = faces[0] + thickness
-        behind, before = np.interp([end + MM.MATCH, end - MM.STATION], s, values)
-        if HU.GUIDE_STEP <= abs(behind - before) < HU.METAL_CONTRAST:
-            near = (places > faces[0]) & (np.abs(places - end) <= MM.MATCH)
-            order = np.searchsorted(places[~near], end)
-            places = np.insert(places[~near], order, end)
-            rises = np.insert(rises[~near], order, behind - before)
     levels = [np.median(part) for part in np.split(values, np.searchsorted(s, places))]
     edges = list[tuple[float, float]]()
     for place, rise in zip(places.tolist(), rises, strict=True):

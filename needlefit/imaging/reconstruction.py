@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
+from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame
 from needlefit.geometry.smoothing_spline import SplineSections
@@ -15,9 +16,9 @@ from needlefit.imaging.needle.axis_spline import PLANE_SPACING_MM
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.needle.segmentation import principal_axes
 from needlefit.imaging.point_spread import PointSpread
-from needlefit.imaging.registration import Registration
+from needlefit.imaging.registration import Registration, predict_mean_target_error
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.volume import Volume, sample
+from needlefit.imaging.volume import Volume, VoxelGrid, sample
 
 
 @dataclass(frozen=True)
@@ -43,15 +44,17 @@ class EntryPose:
     angle_sd: float
     along_sd: float  # deviation of `origin` along the needle, mm
 
+    def sd_at(self, depth: float) -> float:
+        """Return the deviation of the axis at a depth, in any one direction across, mm."""
+        return float(np.hypot(self.shift_sd, self.angle_sd * depth))
+
 
 @dataclass(frozen=True, eq=False)  # what is found in it is kept by its identity
 class IntensityProfile:
-    """The brightness along the needle."""
+    """The brightness around the needle, along it."""
 
-    s: Floats  # (P,); along the needle from its first contact, mm; negative outside the tissue
-    # (P,); of the needle itself and of what surrounds it, HU; nan outside the volume.
-    core: Floats
-    around: Floats
+    s: Floats  # (P,); along the needle from its first point, mm
+    around: Floats  # (P,); of what surrounds it, HU; nan outside the volume
 
 
 MaterialKind = Literal["air", "soft", "metal"]
@@ -62,17 +65,30 @@ class MaterialRun:
     """A part of the needle whose surroundings are of one kind."""
 
     kind: MaterialKind
-    # Along the needle, mm; a first or last run may go on beyond what is seen.
+    # Along the needle from its first point, mm; a first or last run may go on beyond what is seen.
     begin: float
     end: float
     level: float  # median of the surroundings, HU
-    sd: float = 0.0  # deviation of where it begins, mm
-    rise: float = 0.0  # by which the brightness rises there, HU
+    sd: float  # deviation of where it begins, mm
+    rise: float  # by which the brightness rises there, HU
 
     @property
     def length(self) -> float:
         """Length along the needle, mm."""
         return self.end - self.begin
+
+
+@dataclass(frozen=True)
+class EntryCandidate:
+    """A place where the tissue may begin."""
+
+    # Along the needle from its first point, and its deviation, mm.
+    at: float
+    sd: float
+    guide: tuple[float, float] | None = None  # where the guide before it begins and ends, likewise
+    doubt: DataError | None = None  # why only a person can decide whether it is the entry
+    answers: tuple["EntryCandidate", ...] = ()  # then the places to choose from, this one first
+    confirmed: str = ""  # what was in doubt, and which answer a person gave; empty if nothing was
 
 
 @dataclass(frozen=True)
@@ -106,16 +122,35 @@ class Layers:
     sequence: tuple[int, ...]  # the n layers met
 
 
-@dataclass(frozen=True)
-class Reconstruction:
-    """The complete reconstruction of one scan."""
+@dataclass(frozen=True, kw_only=True)
+class NeedleImage:
+    """What a scan shows of its needle."""
 
     scan: Scan
-    spacing: Floats  # (3,); of the voxels along i, j, k, mm
+    grid: VoxelGrid
     needle_axis: Centerline  # the whole needle, LPS
-    markers: MarkerResult | None  # None where the world is the patient frame
-    registration: Registration | None
-    patient: Frame  # the scan's LPS axes and origin in the world
+    profile: IntensityProfile
+    passed: tuple[MaterialRun, ...]  # what the needle passes
+    entry: EntryCandidate | None  # where the tissue begins; None where nothing shows it
+    markers: MarkerResult | None = None  # None where the world is the patient frame
+    registration: Registration | None = None  # likewise
+
+    @property
+    def patient(self) -> Frame:
+        """The scan's LPS axes and origin in the world."""
+        return IDENTITY_FRAME if self.registration is None else self.registration.frame
+
+    @property
+    def whole_needle(self) -> Floats:
+        """The whole needle in the world (N, 3), mm."""
+        return self.patient.to_world(self.needle_axis.points)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reconstruction(NeedleImage):
+    """The complete reconstruction of one scan."""
+
+    entry: EntryCandidate  # where the tissue begins
     pose: EntryPose
     shaft: EntryPose | None  # the pose by the shaft outside the tissue; None where too little of it shows
     frame: Frame  # the constraint frame C in the world
@@ -123,21 +158,9 @@ class Reconstruction:
     # (N,); of each point in any one direction across, mm; the registration's error, common to all, is not in
     # it.
     sd: Floats
-    # Inserted arc length, mm.
-    depth: float
-    depth_sd: float
-    # (2,); mean error that the registration leaves at the entry and at the tip, predicted, mm; 0 without one.
-    target_error: Floats
     layers: Layers
-    profile: IntensityProfile
-    passed: tuple[MaterialRun, ...]  # what the needle passes, from first contact; before it negative
-    guide: tuple[float, float] | None  # where the guide that was subtracted begins and ends, likewise
-    confirmed: str  # what of the entry was in doubt, and which answer a person gave; empty if nothing was
     views: tuple[ScanView, ...] = ()
     warnings: tuple[str, ...] = ()  # what a person should know
-    # What the centreline was drawn through, world, arc lengths from first contact, the shaft outside
-    # included; None where no scan was traced.
-    sections: SplineSections | None = None
 
     @property
     def local(self) -> Floats:
@@ -147,16 +170,37 @@ class Reconstruction:
     @property
     def guide_faces(self) -> Floats:
         """Where the needle passes the faces of the guide (2, 3), LPS, mm; (0, 3) without a guide."""
-        whole = self.needle_axis.points
-        entry = arc_length(whole)[-1] - self.depth
-        return interpolate_at_arc(whole, entry + np.array(self.guide or ()))
+        return interpolate_at_arc(self.needle_axis.points, self.entry.guide or ())
+
+    @property
+    def depth(self) -> float:
+        """Inserted arc length, mm."""
+        return float(arc_length(self.points)[-1])
+
+    @property
+    def depth_sd(self) -> float:
+        """Deviation of the inserted arc length, mm."""
+        return float(np.hypot(self.needle_axis.tip_sd[0], self.pose.along_sd))
+
+    @property
+    def target_error(self) -> Floats:
+        """Mean error that the registration leaves at the entry and at the tip (2,), predicted, mm."""
+        if self.registration is None:
+            return np.zeros(2)
+        return predict_mean_target_error(self.registration, self.patient.to_local(self.points[[0, -1]]))
+
+    @property
+    def sections(self) -> SplineSections | None:
+        """What the needle was drawn through, world, arc lengths from first contact, the shaft included."""
+        drawn = self.needle_axis.sections
+        return None if drawn is None else drawn.seen_from(self.patient, self.entry.at)
 
     def name_part(self, run: MaterialRun) -> Literal["before", "guide", "tissue"]:
         """Return what was taken for what the needle passes."""
-        middle = (run.begin + run.end) / 2
-        if self.guide is not None and self.guide[0] < middle < self.guide[1]:
+        middle, guide = (run.begin + run.end) / 2, self.entry.guide
+        if guide is not None and guide[0] < middle < guide[1]:
             return "guide"
-        return "tissue" if middle > 0 else "before"
+        return "tissue" if middle > self.entry.at else "before"
 
     @property
     def deflection(self) -> float:

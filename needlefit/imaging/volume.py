@@ -310,7 +310,7 @@ def doubt_air(volume: Volume) -> Iterator[str]:
         )
 
 
-def require_hounsfield(volume: Volume, where: str) -> None:
+def require_hounsfield(volume: Volume) -> None:
     """Refuse values that cannot be HU: files without a modality hold MR, stored or attenuation values, too.
 
     HU have a fixed zero: what lies around any needle has values below it, be it air, or the noise of water.
@@ -322,5 +322,4 @@ def require_hounsfield(volume: Volume, where: str) -> None:
             expected="air near -1000, water near 0, metal above 1000",
             fix="export the original series in HU, e.g. as DICOM with its rescale; or subtract an offset "
             "(1024 as a rule), or convert attenuation: HU = 1000 (mu / mu of water - 1)",
-            where=where,
         )

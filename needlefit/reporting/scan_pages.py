@@ -214,11 +214,10 @@ def _paint_brightness(axes: Axes, reconstruction: Reconstruction) -> None:
 
 
 def _place_along(reconstruction: Reconstruction, s: Floats) -> Floats:
-    """Return x in C of places along the needle, mm from first contact; straight on beyond its ends."""
+    """Return x in C of places along the needle, mm from its first point; straight on beyond its ends."""
     points = join_needle(reconstruction)
     along = arc_length(points)
-    along += reconstruction.depth - along[-1]
-    beyond = np.clip(s - along[-1], 0, None) + np.clip(s - along[0], None, 0)
+    beyond = np.clip(s - along[-1], 0, None) + np.clip(s, None, 0)
     return np.interp(s, along, points[:, 0]) + beyond
 
 
@@ -290,8 +289,7 @@ def show_slab(axes: Axes, view: ScanView, views: Sequence[ScanView], span: tuple
 
 def join_needle(reconstruction: Reconstruction) -> Floats:
     """Return the whole needle from base to tip in C: (N, 3), mm."""
-    placed = reconstruction.patient.to_world(reconstruction.needle_axis.points)
-    return reconstruction.frame.to_local(placed)
+    return reconstruction.frame.to_local(reconstruction.whole_needle)
 
 
 def _choose_window(views: Sequence[ScanView]) -> tuple[Floats, Floats]:

@@ -11,8 +11,8 @@ from needlefit.geometry.frames import Frame
 from needlefit.imaging.assembly import DatasetDescription, assemble_dataset
 from needlefit.imaging.constants import MM
 from needlefit.imaging.needle.centerline import Centerline
-from needlefit.imaging.reconstruct import Examination, derive_reconstruction
-from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, Reconstruction
+from needlefit.imaging.reconstruct import derive_reconstruction
+from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, NeedleImage, Reconstruction
 from needlefit.imaging.registration import register
 from needlefit.project.random_streams import random_stream
 from synthetic.design import InsertionDesign, TrueSpread, list_designs
@@ -97,13 +97,21 @@ def _simulate_reconstruction(
     registration = register(centers, placed.stated, sd, WHOLE_BOX_SETUP.known_sd)
     markers = MarkerResult(centers, sd, "volume")
     # no voxels, so no brightness along the needle
-    nothing = IntensityProfile(np.empty(0), np.empty(0), np.empty(0))
+    nothing = IntensityProfile(np.empty(0), np.empty(0))
     axis = _simulate_axis(insertion, placed.world, rng)
     nowhere = folder / f"{planned.id}.nrrd"
     scan = make_stated_scan(folder, planned, nowhere, nowhere)
-    examination = Examination(scan, markers, registration)
-    examination.axis, examination.profile = axis, nothing
-    return derive_reconstruction(examination, RECIPE, placed.grid)
+    image = NeedleImage(
+        scan=scan,
+        grid=placed.grid,
+        needle_axis=axis,
+        profile=nothing,
+        passed=(),
+        entry=None,
+        markers=markers,
+        registration=registration,
+    )
+    return derive_reconstruction(image, RECIPE)
 
 
 def _simulate_axis(insertion: SyntheticInsertion, box: Frame, rng: np.random.Generator) -> Centerline:

@@ -161,8 +161,17 @@ def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFram
 def tabulate_passed(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
     """Return a row per material that a needle passes, from its base on; mm from first contact."""
     rows = [
-        (reconstruction.scan.id, n, reconstruction.name_part(run), run.kind, run.begin, run.end, run.level)
+        (
+            reconstruction.scan.id,
+            n,
+            reconstruction.name_part(run),
+            run.kind,
+            run.begin - at,
+            run.end - at,
+            run.level,
+        )
         for reconstruction in reconstructions
+        for at in [reconstruction.entry.at]
         for n, run in enumerate(reconstruction.passed, start=1)
     ]
     return pd.DataFrame(rows, columns=list(FRAMES["passed"]))
@@ -194,7 +203,7 @@ def describe_scan(reconstruction: Reconstruction) -> Row:
     return {
         **{name: getattr(scan, name) for name in ("id", "origin", "medium", "specimen")},
         "scan": scan.volume.name,
-        **dict(zip(("voxel_i_mm", "voxel_j_mm", "voxel_k_mm"), reconstruction.spacing, strict=True)),
+        **dict(zip(("voxel_i_mm", "voxel_j_mm", "voxel_k_mm"), reconstruction.grid.spacing, strict=True)),
         **registered,
         "entry_pose_from": pose.source,
         "entry_along_sd_mm": pose.along_sd,

@@ -1,0 +1,128 @@
+"""Find the needle's pose at first contact: from the stage, or from the shaft outside the tissue.
+
+The axis of the shaft is fitted by `geometry.shaft`, with the priors `[entry] entry_shift_sd_mm,
+entry_tilt_sd_deg` of what the tissue moved and turned at the entry.
+"""
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.layers import MAX_START_DISTANCE_MM
+from needlefit.errors import DataError
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.geometry.shaft import fit_shaft_axis
+from needlefit.geometry.surfaces import Surface
+from needlefit.imaging.constants import MM
+from needlefit.imaging.entry import find_own_surface, locate_entry
+from needlefit.imaging.reconstruction import EntryCandidate, EntryPose, NeedleImage
+from needlefit.imaging.registration import Registration, target_covariance
+from needlefit.imaging.scans import StagePose
+from needlefit.schemas.reconstruction import ReconstructionEntryRecord, ReconstructionRecord
+
+
+def estimate_first_contact(
+    image: NeedleImage, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
+) -> tuple[EntryCandidate, EntryPose, EntryPose | None]:
+    """Return where the tissue begins, the entry pose, and the pose of the shaft outside, if it is visible.
+
+    DataError if the stage's pose is not the needle's; without a stage if the shaft or the entry is not known.
+    """
+    world, sd = image.whole_needle, image.needle_axis.sd
+    s, stage = arc_length(world), image.scan.stage
+
+    def fit_shaft(entry: EntryCandidate) -> EntryPose:
+        free = image.scan.guide_distance or recipe.needle.length_mm - (s[-1] - entry.at)
+        return pose_from_shaft(world, s - entry.at, sd, free, recipe.entry, entry.sd)
+
+    if stage is None:
+        entry = locate_entry(image, surfaces, recipe)
+        shaft = move_to_surface(fit_shaft(entry), surfaces)
+        return replace(entry, at=find_first_contact(world, shaft)), shaft, shaft
+    pose = pose_from_stage(stage, image.registration)
+    entry = EntryCandidate(find_first_contact(world, pose), pose.along_sd)
+    with suppress(DataError):  # too little of it shows
+        return entry, pose, fit_shaft(entry)
+    return entry, pose, None
+
+
+def pose_from_stage(stage: StagePose, registration: Registration | None) -> EntryPose:
+    """Return the pose that the stage states, with its deviations against the centreline.
+
+    The scan brings the registration's error with it: its shift at the entry, and its turn, in any one
+    direction across.
+    """
+    way = stage.direction
+    shift, turn = np.zeros((2, 3, 3))
+    if registration is not None:
+        shift = target_covariance(registration, registration.frame.to_local(stage.entry[None]))[0]
+        turn = registration.turn_covariance
+    along, along_turn = (float(way @ covariance @ way) for covariance in (shift, turn))
+    return EntryPose(
+        origin=stage.entry,
+        direction=way,
+        source="stage",
+        shift_sd=float(np.sqrt(stage.shift_sd**2 + (np.trace(shift) - along) / 2)),
+        angle_sd=float(np.sqrt(stage.angle_sd**2 + (np.trace(turn) - along_turn) / 2)),
+        along_sd=float(np.sqrt(stage.shift_sd**2 + along)),
+    )
+
+
+def pose_from_shaft(
+    points: Floats, s: Floats, sd: Floats, free: float, rules: ReconstructionEntryRecord, along_sd: float
+) -> EntryPose:
+    """Return the pose of the axis on which the shaft was pushed; its origin is where that axis enters.
+
+    `points`: (N, 3); the needle, world, base side first, mm.
+    `s`: (N,); from the entry along the needle, mm; below zero outside the tissue.
+    `sd`: (N,); in any one direction across, mm.
+    `free`: length from where the shaft is clamped to the entry, mm.
+    `along_sd`: deviation of the entry along the needle, mm.
+
+    DataError if too little of the shaft shows.
+    """
+    use = s < -MM.BLUR_CORE
+    length = float(np.ptp(s[use])) if use.any() else 0.0
+    if length < MM.SHAFT:
+        raise DataError(
+            f"{length:.1f} mm of the shaft show outside the tissue, too few to draw its axis",
+            expected=f"at least {MM.SHAFT:g} mm, or the pose of the stage",
+            fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle",
+        )
+    s, points, sd = s[use], points[use], sd[use]
+    # errors of the traced axis are correlated; a tenth is independent, which keeps the matrix invertible
+    noise = np.outer(sd, sd) * np.exp(-np.abs(s[:, None] - s) / MM.KNOT) + np.diag((0.1 * sd) ** 2)
+    turn_sd = np.radians(rules.entry_tilt_sd_deg)
+    axis = fit_shaft_axis(points, s, noise, free, rules.entry_shift_sd_mm, turn_sd)
+    return EntryPose(axis.origin, axis.direction, "shaft", axis.shift_sd, axis.angle_sd, along_sd)
+
+
+def move_to_surface(pose: EntryPose, surfaces: tuple[Surface, ...]) -> EntryPose:
+    """Return the pose with its origin where its axis meets the tissue's own surface, if it does."""
+    ends = pose.origin + np.outer([-MM.REACH, MM.REACH], pose.direction)
+    at = find_own_surface(ends, surfaces, near=MM.REACH)
+    return pose if at is None else replace(pose, origin=ends[0] + at * pose.direction)
+
+
+def find_first_contact(points: Floats, pose: EntryPose) -> float:
+    """Return the arc length along `points` (N, 3) at which they cross the plane of first contact.
+
+    DataError if they do not cross it near the place stated.
+    """
+    along, s = (points - pose.origin) @ pose.direction, arc_length(points)
+    before = np.flatnonzero((along[:-1] < 0) & (along[1:] >= 0))[:1]
+    at = s[before] - along[before] / (along[before + 1] - along[before]) * (s[before + 1] - s[before])
+    apart = np.linalg.norm(interpolate_at_arc(points, at) - pose.origin, axis=1)
+    if not (apart <= MAX_START_DISTANCE_MM).any():
+        crossed = f", whose plane it crosses {apart[0]:.1f} mm from it" if len(apart) else ""
+        raise DataError(
+            f"the needle does not pass the entry{crossed}: it lies {along.min():.1f} to {along.max():.1f} mm "
+            "from it along the entry direction",
+            expected=f"an entry within {MAX_START_DISTANCE_MM:g} mm of the needle, between its base and its "
+            "tip, and a direction into the tissue",
+            fix="check entry_x_mm ... entry_dz, their frame (the world of the markers), and the sign of the "
+            "direction; and the known places of the markers",
+        )
+    return float(at[0])
