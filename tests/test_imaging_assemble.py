@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from pytest import approx
+from refusals import refusal
 
 from needlefit.datasets.read import check, read
 from needlefit.errors import DataError
@@ -35,16 +36,21 @@ def small():
     return replace(one, layers=replace(one.layers, surfaces=one.layers.surfaces[:1]))
 
 
-def named(name, **changes):
+def named(name, medium="phantom2", surfaces=("interface1",), behind=0.0, **changes):
+    """An insertion whose surfaces have these names; the first lies `behind` its place, others 1 mm apart."""
     one = small()
-    return replace(one, scan=replace(one.scan, id=name), **changes)
+    (surface,) = one.layers.surfaces
+    into = one.frame.rotation[:, 0]
+    surfaces = tuple(
+        replace(transform_surface(surface, Frame((behind + n) * into, np.eye(3))), name=called, into=n + 2)
+        for n, called in enumerate(surfaces)
+    )
+    layers = replace(one.layers, surfaces=surfaces, sequence=tuple(range(1, len(surfaces) + 2)))
+    return replace(one, scan=replace(one.scan, id=name, medium=medium), layers=layers, **changes)
 
 
-def shifted(one, shift):
-    """The same insertion, its layers 0.5 mm deeper: drawn in its own scan."""
-    away = Frame(np.asarray(shift, dtype=float), np.eye(3))
-    surfaces = tuple(transform_surface(surface, away) for surface in one.layers.surfaces)
-    return replace(one, layers=replace(one.layers, surfaces=surfaces))
+def list_layers(folder):
+    return sorted(file.name for file in (folder / "layers").iterdir())
 
 
 @pytest.mark.sweep
@@ -77,39 +83,23 @@ def test_the_dataset_records_what_was_reconstructed(tmp_path):
 
 def test_surfaces_that_all_share_are_written_once_others_for_each(tmp_path):
     assemble_dataset(tmp_path / "shared", [named("a"), named("b")], RECIPE, ABOUT)
-    assert [file.name for file in (tmp_path / "shared" / "layers").iterdir()] == ["phantom2_interface1.stl"]
-    into = small().frame.rotation[:, 0]
-    assemble_dataset(tmp_path / "own", [named("a"), shifted(named("b"), 0.5 * into)], RECIPE, ABOUT)
-    assert sorted(file.name for file in (tmp_path / "own" / "layers").iterdir()) == ["a_1.stl", "b_1.stl"]
+    assert list_layers(tmp_path / "shared") == ["phantom2_interface1.stl"]
+    assemble_dataset(tmp_path / "own", [named("a"), named("b", behind=0.5)], RECIPE, ABOUT)
+    assert list_layers(tmp_path / "own") == ["a_1.stl", "b_1.stl"]
     assert check(tmp_path / "own") == []
     a, b = read(tmp_path / "own").insertions
     assert b.boundaries - a.boundaries == approx([0.5], abs=0.02)
 
 
-def with_surfaces(name, medium, *names):
-    """An insertion whose layers have these names, each 1 mm behind the one before."""
-    one = named(name)
-    (surface,) = one.layers.surfaces
-    into = one.frame.rotation[:, 0]
-    surfaces = tuple(
-        replace(transform_surface(surface, Frame(n * into, np.eye(3))), name=called, into=n + 2)
-        for n, called in enumerate(names)
-    )
-    layers = replace(one.layers, surfaces=surfaces, sequence=tuple(range(1, len(names) + 2)))
-    return replace(one, scan=replace(one.scan, medium=medium), layers=layers)
-
-
 def test_any_surface_name_gives_a_valid_file_and_media_share_none(tmp_path):
-    one = with_surfaces("a", "gel", "skin {id}/2", "Fett (außen)", "fett au en", "x_1")
-    assemble_dataset(tmp_path, [one], RECIPE, ABOUT)
-    found = sorted(file.name for file in (tmp_path / "layers").iterdir())
-    assert found == ["gel_Fett_außen_.stl", "gel_fett_au_en.stl", "gel_skin_id_2.stl", "gel_x_1.stl"]
+    called = ("skin {id}/2", "Fett (außen)", "fett au en", "x_1")
+    assemble_dataset(tmp_path, [named("a", "gel", called)], RECIPE, ABOUT)
+    files = ["gel_Fett_außen_.stl", "gel_fett_au_en.stl", "gel_skin_id_2.stl", "gel_x_1.stl"]
+    assert list_layers(tmp_path) == files
     assert check(tmp_path) == []
-    with pytest.raises(DataError, match=r" layers/gel_b_c\.stl") as error:
-        assemble_dataset(
-            tmp_path, [with_surfaces("a", "gel", "b_c"), with_surfaces("b", "gel_b", "c")], RECIPE, ABOUT
-        )
-    assert error.value.fix
+    both = [named("a", "gel", ["b_c"]), named("b", "gel_b", ["c"])]
+    error = refusal(DataError, r" layers/gel_b_c\.stl", assemble_dataset, tmp_path, both, RECIPE, ABOUT)
+    assert error.fix
 
 
 def test_an_insertion_with_a_fault_is_left_out_and_reported(tmp_path):
@@ -119,50 +109,42 @@ def test_an_insertion_with_a_fault_is_left_out_and_reported(tmp_path):
     assert {one.scan.id for one in failed} == {"b"}
     assert check(tmp_path / "out") == []
     assert not (tmp_path / "out" / "centerlines" / "b.csv").exists()
-    (tmp_path := tmp_path / "b").mkdir()
     short = RECIPE.model_copy(update={"needle": RECIPE.needle.model_copy(update={"length_mm": 20.0})})
-    kept, failed = assemble_checked(tmp_path / "out", [named("a"), named("b")], short, ABOUT)
-    assert kept == () and not (tmp_path / "out").exists()
-    assert [one.scan.id for one in failed] == ["a", "b"]
-    message = str(failed[0].error)
+    kept, (failed,) = assemble_checked(tmp_path / "none", [named("a")], short, ABOUT)
+    assert kept == () and not (tmp_path / "none").exists()
+    message = str(failed.error)
     assert message.startswith(f"{small().scan.volume}: ") and "20 mm" in message
     assert "needle.length_mm" in message and "recipe" in message and "dataset.toml" not in message
 
 
-def changed_pose(**changes):
-    return replace(small(), pose=replace(small().pose, source="stage", **changes))
+def contradicted(one, away, source, **changes):
+    """By the stage's entry, or the tissue's own surface, what the needle passes lies elsewhere along it."""
+    runs = (replace(run, begin=run.begin + away, end=run.end + away) for run in one.passed)
+    return replace(one, pose=replace(one.pose, source=source), passed=tuple(runs), **changes)
 
 
-def move_passed(result, away):
-    """What the needle passes lies elsewhere along it."""
-    runs = (replace(run, begin=run.begin + away, end=run.end + away) for run in result.passed)
-    return replace(result, passed=tuple(runs))
-
-
-def own_surface():
-    """The tissue begins where its surface is."""
-    (surface,) = small().layers.surfaces
-    return replace(small(), layers=replace(small().layers, surfaces=(surface, replace(surface, into=1))))
+def own_surface(layers):
+    return replace(layers, surfaces=(*layers.surfaces, replace(layers.surfaces[0], into=1)))
 
 
 @pytest.mark.parametrize(
-    ("one", "words"),
+    ("change", "words"),
     [
         (
-            lambda: replace(small(), registration=replace(small().registration, p_value=1e-4)),
+            lambda one: replace(one, registration=replace(one.registration, p_value=1e-4)),
             "registration error",
         ),
-        (lambda: changed_pose(angle_sd=0.2), "bending plane"),
+        (lambda one: replace(one, pose=replace(one.pose, angle_sd=0.2)), "bending plane"),
         (
-            lambda: move_passed(changed_pose(), 4.0),
+            lambda one: contradicted(one, 4.0, "stage"),
             r"begins [34]\.\d\d ± .* mm after the stage's entry",
         ),
         (
-            lambda: move_passed(own_surface(), -2.0),
+            lambda one: contradicted(one, -2.0, "shaft", layers=own_surface(one.layers)),
             r"begins [12]\.\d\d ± .* mm before its own surface",
         ),
     ],
 )
-def test_doubtful_reconstructions_give_warnings(one, words):
-    warnings = [*collect_warnings(one())]
+def test_doubtful_reconstructions_give_warnings(change, words):
+    warnings = [*collect_warnings(change(small()))]
     assert any(re.search(words, warning) for warning in warnings), warnings
