@@ -9,7 +9,6 @@ from itertools import takewhile
 
 import numpy as np
 
-from needlefit.arrays import Floats
 from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_surface_hits
@@ -47,9 +46,10 @@ def locate_entry(
                 where="entry of the corrections",
             )
         return EntryCandidate(place, recipe.entry.placed_contact_sd_mm)
-    at = find_own_surface(image.whole_needle, surfaces)
-    if at is not None:
-        return EntryCandidate(at, recipe.layers.surface_sd_mm)
+    own = (surface for surface in surfaces if surface.into == 1)
+    hits = [hit for surface in own for hit in find_surface_hits(image.whole_needle, surface).tolist()]
+    if hits:
+        return EntryCandidate(min(hits), recipe.layers.surface_sd_mm)
     if image.entry is None:
         raise DataError(
             "the scan does not show where the needle enters the tissue",
@@ -74,15 +74,6 @@ def _answer_doubt(entry: EntryCandidate, number: int | None) -> EntryCandidate:
             fix="give one of these numbers (--confirm entry=1)",
         )
     return replace(entry.answers[number - 1], confirmed=f"answer {number}; {entry.doubt.what}")
-
-
-def find_own_surface(points: Floats, surfaces: tuple[Surface, ...], near: float = 0.0) -> float | None:
-    """Return where along points (N, 3) they meet the tissue's own surface (`into = 1`), mm.
-
-    Of several such places the one nearest to `near`, mm, counts; None if there is none.
-    """
-    hits = [hit for surface in surfaces if surface.into == 1 for hit in find_surface_hits(points, surface)]
-    return min(map(float, hits), key=lambda hit: abs(hit - near), default=None)
 
 
 def is_soft_tissue(level: float) -> bool:

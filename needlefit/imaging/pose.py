@@ -4,9 +4,6 @@ The axis of the shaft is fitted by `geometry.shaft`, with the priors `[entry] en
 entry_tilt_sd_deg` of what the tissue moved and turned at the entry.
 """
 
-from contextlib import suppress
-from dataclasses import replace
-
 import numpy as np
 
 from needlefit.arrays import Floats
@@ -16,7 +13,7 @@ from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.shaft import fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.constants import MM
-from needlefit.imaging.entry import find_own_surface, locate_entry
+from needlefit.imaging.entry import locate_entry
 from needlefit.imaging.reconstruction import EntryCandidate, EntryPose, NeedleImage
 from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import StagePose
@@ -30,22 +27,21 @@ def estimate_first_contact(
 
     DataError if the stage's pose is not the needle's; without a stage if the shaft or the entry is not known.
     """
-    world, sd = image.whole_needle, image.needle_axis.sd
-    s, stage = arc_length(world), image.scan.stage
-
-    def fit_shaft(entry: EntryCandidate) -> EntryPose:
-        free = image.scan.guide_distance or recipe.needle.length_mm - (s[-1] - entry.at)
-        return pose_from_shaft(world, s - entry.at, sd, free, recipe.entry, entry.sd)
-
-    if stage is None:
+    world, stage = image.whole_needle, image.scan.stage
+    pose = None if stage is None else pose_from_stage(stage, image.registration)
+    if pose is None:
         entry = locate_entry(image, surfaces, recipe)
-        shaft = move_to_surface(fit_shaft(entry), surfaces)
-        return replace(entry, at=find_first_contact(world, shaft)), shaft, shaft
-    pose = pose_from_stage(stage, image.registration)
-    entry = EntryCandidate(find_first_contact(world, pose), pose.along_sd)
-    with suppress(DataError):  # too little of it shows
-        return entry, pose, fit_shaft(entry)
-    return entry, pose, None
+    else:
+        entry = EntryCandidate(find_first_contact(world, pose), pose.along_sd)
+    s = arc_length(world) - entry.at
+    free = image.scan.guide_distance or recipe.needle.length_mm - s[-1]
+    try:
+        shaft = pose_from_shaft(world, s, image.needle_axis.sd, free, recipe.entry, entry.sd)
+    except DataError:  # too little of it shows
+        if pose is None:
+            raise
+        return entry, pose, None
+    return entry, pose or shaft, shaft
 
 
 def pose_from_stage(stage: StagePose, registration: Registration | None) -> EntryPose:
@@ -97,13 +93,6 @@ def pose_from_shaft(
     turn_sd = np.radians(rules.entry_tilt_sd_deg)
     axis = fit_shaft_axis(points, s, noise, free, rules.entry_shift_sd_mm, turn_sd)
     return EntryPose(axis.origin, axis.direction, "shaft", axis.shift_sd, axis.angle_sd, along_sd)
-
-
-def move_to_surface(pose: EntryPose, surfaces: tuple[Surface, ...]) -> EntryPose:
-    """Return the pose with its origin where its axis meets the tissue's own surface, if it does."""
-    ends = pose.origin + np.outer([-MM.REACH, MM.REACH], pose.direction)
-    at = find_own_surface(ends, surfaces, near=MM.REACH)
-    return pose if at is None else replace(pose, origin=ends[0] + at * pose.direction)
 
 
 def find_first_contact(points: Floats, pose: EntryPose) -> float:
