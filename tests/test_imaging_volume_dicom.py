@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dicom_series import COLUMNS, COUNT, NUMBERS, ORIGIN, ROWS, STEP, a_slice, save, save_volume, series
+from dicom_series import COLUMNS, COUNT, NUMBERS, ROWS, a_slice, save, save_volume, series
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydicom.uid import (
@@ -49,37 +49,23 @@ def turned_slices(radians, step):
 # What is read
 
 
-def test_positions_orientation_and_rescaling_of_slices(tmp_path):
-    positions = [[*ORIGIN[:2], ORIGIN[2] - STEP * k] for k in range(COUNT)]
-    slices = [a_slice(k, ImagePositionPatient=position) for k, position in enumerate(positions)]
-    volume = read_volume(save(tmp_path, slices))
-    assert np.array_equal(volume.values, NUMBERS[::-1])
-    assert volume.origin == approx(positions[-1])
-    (tmp_path := tmp_path / "d").mkdir()
-    slices = [a_slice(k, RescaleSlope=str(0.5 + 0.25 * k), RescaleIntercept=-1024.5) for k in range(COUNT)]
+def test_each_slice_has_its_rescaling(tmp_path):
+    slopes = 0.5 + 0.25 * np.arange(COUNT)
+    slices = [a_slice(k, RescaleSlope=str(slope), RescaleIntercept=-1024.5) for k, slope in enumerate(slopes)]
     values = read_volume(save(tmp_path, slices)).values
-    for k in range(COUNT):
-        assert np.array_equal(values[k], NUMBERS[k] * (0.5 + 0.25 * k) - 1024.5)
+    assert np.array_equal(values, NUMBERS * slopes[:, None, None] - 1024.5)
 
 
-def test_padding_gets_the_least_measured_value(tmp_path):
-    slices = []
-    for k in range(COUNT):
-        plane = NUMBERS[k] + 100
-        plane[0, :3] = -2000
-        slices.append(a_slice(k, plane, RescaleSlope="0.1", RescaleIntercept=-7, PixelPaddingValue=-2000))
+@pytest.mark.parametrize(("kind", "padding"), [("SS", -2000), ("US", 63536)])  # written without its sign
+def test_padding_gets_the_least_measured_value(tmp_path, kind, padding):
+    planes = NUMBERS + 100
+    planes[:, 0, :3] = -2000
+    slices = [a_slice(k, plane, RescaleSlope="0.1", RescaleIntercept=-7) for k, plane in enumerate(planes)]
+    for data in slices:
+        data.add_new("PixelPaddingValue", kind, padding)
     values = read_volume(save(tmp_path, slices)).values
     least = np.float32(0.1 * 103 - 7)
     assert (values[:, 0, :3] == least).all() and values.min() == least
-
-
-def test_padding_of_voxels_with_a_sign_may_be_written_without(tmp_path):
-    plane = NUMBERS[0].copy()
-    plane[0, 0] = -2000
-    slices = [a_slice(0, plane), *series()[1:]]
-    for data in slices:
-        data.add_new("PixelPaddingValue", "US", 63536)
-    assert read_volume(save(tmp_path, slices)).values.min() == 1
 
 
 # Which files and which series
@@ -101,47 +87,24 @@ def test_the_order_of_files_other_files_and_overviews_mean_nothing(tmp_path):
     assert np.array_equal(read_volume(save(tmp_path, [*series(), overview, dose])).values, NUMBERS)
 
 
-def test_two_series_are_not_guessed(tmp_path):
-    other = generate_uid(entropy_srcs=["other"])
-    more = [a_slice(k, NUMBERS[k] + 1, SeriesInstanceUID=other, SeriesNumber=4) for k in range(3)]
-    save(tmp_path, [*series(), *more])
-    fault = refused(tmp_path)
-    assert "holds 2 series" in fault.what and "'needle' (CT, 6 images)" in fault.what and other in fault.what
-    assert "`series`" in fault.fix
-    assert read_volume(tmp_path, "3").values.shape[0] == COUNT
-    for found in (
-        read_volume(tmp_path, "4"),
-        read_volume(tmp_path, other),
-        read_volume(tmp_path / "007.dcm"),
-    ):
-        assert np.array_equal(found.values, NUMBERS[:3] + 1)  # the last: one of its files names it
-    fault = refused(tmp_path, series="5")
-    assert " 5" in fault.what and "number 4" in fault.what
-
-
 def test_folders_without_a_series(tmp_path):
-    assert "no series" in refused(tmp_path).what
     (tmp_path / "inside").mkdir()
     (tmp_path / "notes.txt").write_text("scan")
-    fault = refused(tmp_path)
-    assert "no series" in fault.what and "folder" in fault.fix
-    assert "no such file" in refused(tmp_path / "elsewhere").what
+    for path, words in ((tmp_path, "no series"), (tmp_path / "no", "no such file")):
+        assert words in refused(path).what
     assert "not a volume" in refused(tmp_path / "notes.txt").what
 
 
-def test_localizers_are_left_out_and_copies_refused(tmp_path):
+def test_localizers_are_left_out(tmp_path):
     volume = read_volume(save(tmp_path / "a", [*series(), a_slice(0, **OVERVIEW)]))
     assert np.array_equal(volume.values, NUMBERS) and len(volume.warnings) == 1
     alone = [a_slice(k, SeriesInstanceUID=generate_uid(), **OVERVIEW) for k in range(2)]
     assert "2 series" in refused(save(tmp_path / "d", alone)).what
-    assert "stands 0 mm behind" in refused(save(tmp_path / "b", [*series(), *series()])).what
 
 
-def test_several_acquisitions_at_one_place_are_refused_and_successive_ones_are_one_stack(tmp_path):
-    second = [a_slice(k, NUMBERS[k] + 7, AcquisitionNumber=5) for k in range(COUNT)]
-    assert "stands 0 mm behind" in refused(save(tmp_path / "a", [*series(AcquisitionNumber=4), *second])).what
-    single = [a_slice(k, AcquisitionNumber=k) for k in range(COUNT)]
-    assert np.array_equal(read_volume(save(tmp_path / "b", single)).values, NUMBERS)
+def test_successive_acquisitions_are_one_stack_of_an_unspecified_unit(tmp_path):
+    single = [a_slice(k, AcquisitionNumber=k, RescaleType="US") for k in range(COUNT)]
+    assert np.array_equal(read_volume(save(tmp_path, single)).values, NUMBERS)
 
 
 def test_a_tilted_gantry_is_read_where_the_slices_stand(tmp_path):
@@ -199,12 +162,8 @@ PADDED = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) 
         (PADDED, "nan to nan", "", ""),
         ([*series()[:2], *series()[4:]], "002.dcm stands 2.7 mm behind 001.dcm", "002.dcm", ""),
         (THIN, "003.dcm stands 0.3 mm behind 002.dcm", "003.dcm", ""),  # no slice is 0.1 mm off its place
-        (
-            [*series(), a_slice(2, NUMBERS[2] + 1, SOPInstanceUID=generate_uid())],
-            "006.dcm stands 0 mm behind 002.dcm",
-            "006.dcm",
-            "",
-        ),
+        ([*series(), a_slice(2, NUMBERS[2] + 1)], "006.dcm stands 0 mm behind 002.dcm", "006.dcm", ""),
+        ([*series(), *series()], "stands 0 mm behind", "", ""),
         (series(**OVERVIEW), "is a localizer", "000.dcm", "series"),
         (turned_slices(np.radians(40.0), [0, 0, 5]), "not perpendicular", "", "resample"),
         (spoilt(2, ImagePositionPatient=[-9.0, 20.0, 31.8]), "0.9 mm behind 001.dcm and 1 mm", "002.dcm", ""),
@@ -225,7 +184,7 @@ PADDED = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) 
             for entries, words in (
                 ({"ImagePositionPatient": None}, "ImagePositionPatient is not stated"),
                 ({"PhotometricInterpretation": "MONOCHROME1"}, "MONOCHROME1"),
-                ({"Modality": "MR"}, "Modality is MR"),
+                ({"RescaleType": "MGML"}, "RescaleType is MGML"),
             )
         ),
     ],
@@ -268,26 +227,22 @@ def test_headers_that_claim_huge_volumes_are_refused(tmp_path):
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100e3  # kB
 
 
-def turned(seed, shape=(4, 5, 6), flip=False):
-    """Return a volume at a random pose."""
-    rng = np.random.default_rng(seed)
-    direction, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    direction *= np.linalg.det(direction) * (-1 if flip else 1)
-    values = np.round(rng.normal(size=shape) * 1000.0).astype(np.float32)
-    return Volume(values, rng.normal(size=3) * 100, rng.uniform(0.2, 2.0, 3), direction)
-
-
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), flip=st.booleans())
 def test_every_voxel_keeps_its_position(tmp_path_factory, seed, flip):
     """A left-handed volume comes back right-handed: its slices are the same, in the other order."""
+    rng = np.random.default_rng(seed)
+    direction, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    direction *= np.linalg.det(direction) * (-1 if flip else 1)
+    values = np.round(rng.normal(size=(4, 5, 6)) * 1000.0).astype(np.float32)
+    volume = Volume(values, rng.normal(size=3) * 100, rng.uniform(0.2, 2.0, 3), direction)
     folder = tmp_path_factory.mktemp("scan") / "series"
-    volume = turned(seed, flip=flip)
     save_volume(folder, volume)
     again = read_volume(folder)
     assert np.linalg.det(again.direction) == approx(1.0)
     assert np.array_equal(again.values[::-1] if flip else again.values, volume.values)
-    here = np.argwhere(np.ones(volume.values.shape))[:, ::-1]
+    here = np.argwhere(np.ones(values.shape))[:, ::-1]
     there = to_index(again, to_patient(volume, here))
-    assert again.values[tuple(np.rint(there[:, ::-1]).astype(int).T)] == approx(volume.values.ravel())
-    assert np.abs(to_patient(again, np.rint(there)) - to_patient(volume, here)).max() < 1e-5
+    if flip:
+        here = here * [1, 1, -1] + [0, 0, 3]
+    assert np.abs(there - here).max() < 1e-4

@@ -1,21 +1,17 @@
 """What 3D Slicer gets: curves of needles where they stand, with the band of the fit."""
 
 import dataclasses
-from pathlib import Path
 from types import SimpleNamespace
 
 import needles
 import numpy as np
 import pandas as pd
 import pytest
-import slicerio
 from numpy.testing import assert_allclose
 from test_validation_run import made, project, study
 
 from needlefit.datasets.formats.markups import read_markups
 from needlefit.geometry.curves import arc_length
-from needlefit.imaging.segmentations import read_labels
-from needlefit.imaging.volume import to_patient
 from needlefit.inference.draws import Draws
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
@@ -130,17 +126,3 @@ def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):
     for curve, name in ((measured, "measured"), (predicted, "fitted")):
         there = third.loc[third["curve"] == name, ["x_mm", "y_mm", "z_mm"]].to_numpy()
         assert_allclose(curve.points, (there - [10, 20, 30]) * [-1, -1, 1], atol=1e-9)
-
-
-FILES = Path(slicerio.__file__).parent / "data"
-
-
-def test_a_segmentation():
-    path = FILES / "Segmentation.seg.nrrd"
-    expected = slicerio.read_segmentation(str(path))
-    labels = read_labels(path)
-    assert labels.names == {one["labelValue"]: one["name"] for one in expected["segments"]}
-    assert np.array_equal(labels.volume.values, expected["voxels"].T)
-    matrix = np.asarray(expected["ijkToLPS"])
-    ijk = [[0, 0, 0], [3, 5, 7]]
-    assert to_patient(labels.volume, ijk) == pytest.approx(ijk @ matrix[:3, :3].T + matrix[:3, 3])

@@ -40,13 +40,9 @@ PLAIN_ENTRIES = {
     "PhotometricInterpretation": ("", "MONOCHROME2"),
     "ModalityLUTSequence": ("",),
     "Modality": XRAY_MODALITIES,
-    # US is "unspecified", as cone-beam scanners write.
+    # US is "unspecified", as cone-beam scanners write: air then shows whether the values are HU
     "RescaleType": ("", "HU", "HU_MOD", "US"),
 }
-UNSPECIFIED_UNIT = (
-    "the scan's headers call the unit of its values unspecified (RescaleType US): thresholds and the edge of "
-    "the tissue are right only if air is -1000 and water 0"
-)
 EXPORT_FIX = (
     "export the series from the scanner again, as original axial slices in HU; or load it in 3D Slicer, and "
     "save the volume as NRRD, in HU (air -1000, water 0); a micro-CT scans air and water for this"
@@ -98,7 +94,7 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
     """
     images = find_series(Path(path), series)
     slices, grid = stack_slices([item for item in images if not item.is_localizer] or images)
-    allow_memory(grid.size[0] * grid.size[1] * SLICE_BYTES_PER_PIXEL + 4 * math.prod(grid.size))
+    allow_memory(grid.size[0] * grid.size[1] * SLICE_BYTES_PER_PIXEL + 5 * math.prod(grid.size))  # and a mask
     values = arrays["values"] = np.empty(grid.size[::-1], np.float32)
     arrays |= grid.placing
     for item, plane in zip(slices, values, strict=True):
@@ -106,8 +102,7 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
     with located(path):
         fill_unknown(values, labels=False)
     localizers = len(images) - len(slices)
-    notes = [f"{localizers} localizer(s) were left out"] * (localizers > 0)
-    return notes + [UNSPECIFIED_UNIT] * any(item.text("RescaleType").upper() == "US" for item in slices)
+    return [f"{localizers} localizer(s) were left out"] * (localizers > 0)
 
 
 def read_header(file: Path) -> DicomSlice | None:

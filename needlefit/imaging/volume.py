@@ -23,6 +23,7 @@ DEFAULT_MAX_VOXELS = 2**30
 SPACINGS_MM = (1e-3, 50.0)
 # largest deviation of axes from right angles and unit length, as cosines printed with four decimals have
 AXES_COSINE_TOLERANCE = 2e-4
+MAX_EQUAL = 3  # largest number of voxels around an object that have its largest value by chance
 # largest tilt (degrees): a gantry tilts by 30 at most; its slices then lean over one another by as much
 MAX_TILT_DEG = 35.0
 
@@ -102,14 +103,11 @@ def fill_unknown(values: NDArray[Any], *, labels: bool) -> list[str]:
             expected="a number in every voxel",
             fix="give voxels outside the scan the value of air, e.g. -1000",
         )
-    first = np.unravel_index(int(values.argmax()), values.shape)[::-1]  # NaN counts as the largest
+    unknown = np.isnan(values)
+    first, count = np.unravel_index(int(unknown.argmax()), values.shape)[::-1], int(np.count_nonzero(unknown))
     # values that are nowhere below 0 are no HU, nor is then -1000
-    filled = 0.0 if labels else min(HU.AIR if low < 0 else np.inf, low)
-    count = 0
-    for plane in values:  # a mask of all voxels takes a quarter of their memory
-        unknown = np.isnan(plane)
-        plane[unknown] = filled
-        count += int(np.count_nonzero(unknown))
+    filled = 0.0 if labels else min(HU.AIR, low) if low < 0 else low
+    values[unknown] = filled
     return [
         f"{count} of {values.size} voxels ({100 * count / values.size:.2g} %) have no value (NaN), the first "
         f"at i, j, k = {', '.join(map(str, first))}: they were taken for "
@@ -153,10 +151,7 @@ READABLE_VOLUMES = (
 
 @dataclass(frozen=True)
 class Volume:
-    """A CT volume; patient coordinates are LPS, mm, whatever its file used.
-
-    DataError if the values are no volume, or the axes are not those of slices.
-    """
+    """A CT volume; patient coordinates are LPS, mm, whatever its file used."""
 
     # (K, J, I); attenuation [slice, row, column], rescaled as the file says (HU where the scanner gave HU).
     values: NDArray[np.float32]
@@ -164,10 +159,6 @@ class Volume:
     spacing: Floats  # (3,); distance of centres along i, j, k, mm
     direction: Floats  # (3, 3); as that of a grid
     warnings: tuple[str, ...] = ()  # what a person should know of its files
-
-    def __post_init__(self) -> None:
-        """Refuse what is no scan."""
-        check_grid(self.grid)
 
     @property
     def grid(self) -> VoxelGrid:
@@ -183,6 +174,11 @@ class Volume:
         return float(np.median(dense if dense.size > some.size / 100 else some))
 
     @cached_property
+    def ends(self) -> tuple[float, float]:
+        """The least and the largest value, HU."""
+        return float(self.values.min()), float(self.values.max())
+
+    @cached_property
     def _bright(self) -> BrightVoxels:
         return list_bright_voxels(self.values, self.tissue + min(PART.THRESHOLDS) * HU.CLIPPED)
 
@@ -196,7 +192,7 @@ class Volume:
 
         Interpolated values end nowhere in particular: without this the metal seems less bright, and longer.
         """
-        top = float(self.values.max())
+        top = self.ends[1]
         if not PART.BRIGHTEST <= top / HU.CLIPPED <= 1 / PART.BRIGHTEST:
             return None
         bright = self._bright.values[self._bright.values > PART.BRIGHTEST * top]
@@ -275,21 +271,15 @@ def require_inside(volume: Volume, points: Floats, kind: str) -> None:
         )
 
 
-MAX_EQUAL = 3  # largest number of voxels around an object that have its largest value by chance
-
-
 def explain_refusal(error: NeedlefitError, volume: Volume) -> NeedlefitError:
     """Return why a scan is refused with what its volume holds, and first any doubt about its unit."""
-    doubts = [f"{doubt}. With these values: " for doubt in doubt_air(volume)]
     size, steps = (
         " x ".join(f"{length:.3g}" for length in lengths)
         for lengths in (volume.grid.size * volume.spacing, volume.spacing)
     )
-    low, high = float(volume.values.min()), float(volume.values.max())
-    return error.replace(
-        what=f"{''.join(doubts)}{error.what}; the scan is {size} mm large, its voxels {steps} mm; its "
-        f"values are {low:.5g} to {high:.5g}"
-    )
+    what = ". With these values: ".join([*doubt_air(volume), error.what])
+    holds = "the scan is {} mm large, its voxels {} mm; its values are {:.5g} to {:.5g}"
+    return error.replace(what=f"{what}; {holds.format(size, steps, *volume.ends)}")
 
 
 def doubt_air(volume: Volume) -> Iterator[str]:
@@ -299,10 +289,10 @@ def doubt_air(volume: Volume) -> Iterator[str]:
     the scanner's field, or is where values were cut. Where nothing else is so dark, it stands for air.
     """
     some = volume.values[::3, ::3, ::3]
-    dark = some[(some > float(some.min())) & (some < HU.GAP)]
-    level = float(np.median(dark)) if dark.size > PART.AIR * some.size else HU.AIR
-    level = level if dark.size else float(some.min())
-    if not HU.AIR_RANGE[0] <= level <= HU.AIR_RANGE[1]:
+    dark = some[(some > some.min()) & (some < HU.GAP)]
+    level = float(np.median(dark) if dark.size else some.min())
+    seldom = 0 < dark.size <= PART.AIR * some.size
+    if not (seldom or HU.AIR_RANGE[0] <= level <= HU.AIR_RANGE[1]):
         yield (
             f"the values may be no Hounsfield units: the darkest material, unless it is lung or foam, has "
             f"{level:.0f}, and air would have -1000; export HU, or turn the values so that air has -1000 and "
@@ -315,7 +305,7 @@ def require_hounsfield(volume: Volume) -> None:
 
     HU have a fixed zero: what lies around any needle has values below it, be it air, or the noise of water.
     """
-    low, high = float(volume.values.min()), float(volume.values.max())
+    low, high = volume.ends
     if low >= 0 or high - low < HU.METAL_CONTRAST:
         raise DataError(
             "its values are no Hounsfield units of a scan with a needle",
