@@ -132,9 +132,16 @@ def test_every_needle_of_a_scan_is_an_insertion_and_the_printed_commands_follow(
     assert str(tmp_path / "both/scenes") in capsys.readouterr().out
     found = read_dataset(tmp_path / "both").insertions
     assert [one.id for one in found] == ["spoiled-1", "spoiled-2"]
-    rows = pd.read_csv(tmp_path / "both" / "scans.csv")
-    apart = np.diff(rows[["needle_x_mm", "needle_y_mm", "needle_z_mm"]].to_numpy(), axis=0)[0]
-    assert apart[0] > 0  # along L
+    lists = json.loads((tmp_path / "both/slicer/spoiled-2.corrections.mrk.json").read_text())
+    points = {point["label"]: point for point in lists["markups"][0]["controlPoints"]}
+    points["tip"]["position"] = points["axis 8"]["position"]
+    (tmp_path / "moved.mrk.json").write_text(json.dumps(lists))
+    moved = ("--corrections", tmp_path / "moved.mrk.json")
+    assert run("reconstruct", path, "--all", "--out", tmp_path / "moved", "-q", *moved) == 0
+    before, after = (pd.read_csv(tmp_path / name / "reconstruction.csv") for name in ("both", "moved"))
+    assert before["tip_l_mm"].is_monotonic_increasing
+    assert (before["depth_mm"] - after["depth_mm"]).tolist() == approx([0, 2.5], abs=0.5)
+    capsys.readouterr()
     for answer, named in {
         "entry=1": "spoiled-1:entry=1",
         "spoiled-2:entry=1": "--confirm for spoiled-2",

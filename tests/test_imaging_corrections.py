@@ -142,7 +142,7 @@ def test_corrections_belong_to_a_scan_that_can_take_them(file):
     assert "was moved" in refused(scan, file)
     moved(file, "ball 1")
     (corrected,) = correct_scans([scan], [file])
-    assert corrected.corrections.balls.shape == (4, 3) and scan.corrections is None
+    assert corrected.needle_corrections["s1"].balls.shape == (4, 3) and not scan.needle_corrections
     assert "s1" in refused(other, file)
     assert "second time" in refused(scan, file, file)
     assert "known places" in refused(replace(scan, markers=None), file)

@@ -135,7 +135,7 @@ def reconstruct(
             series=series,
             medium=medium,
         )
-        wanted = correct_scans(_take_answers(_scans(scans, files), confirm or (), every), moved)
+        wanted = correct_scans(_take_answers(_scans(scans, files), confirm or (), every), moved, every)
         named_by = scan_id(scans[0]) if len(wanted) == 1 or scans[0].suffix == ".csv" else "scans"
         out = out or Path(f"{named_by}-dataset")
         place = out.resolve()

@@ -50,7 +50,7 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
 
     So is one of which something is stated that only one needle has, or in which nothing is found.
     """
-    of_one_needle = (scan.needle_at, scan.stage, scan.corrections, scan.mask)
+    of_one_needle = (scan.needle_at, scan.stage, scan.needle_corrections.get(scan.id), scan.mask)
     if any(stated is not None for stated in of_one_needle):
         return (scan,)
     with suppress(NeedlefitError):  # its reconstruction says why
@@ -132,24 +132,25 @@ def reconstruct_needles(
     try:
         search = VolumeSearch(read_volume(scan.volume, scan.series), recipe)
         needles = divide_scan(search, scan) if every else (scan,)
-        if scan.answers.keys() - {needle.id for needle in needles}:
-            ids, answered = (", ".join(names) for names in ([needle.id for needle in needles], scan.answers))
+        ids = [needle.id for needle in needles]
+        if unknown := {*scan.answers, *scan.needle_corrections} - {*ids}:
             raise DataError(
-                f"holds the needles {ids}, but an answer is about {answered}",
-                expected="answers that name a needle each",
-                fix=f"state its needle: --confirm {needles[0].id}:entry=1",
+                f"holds the needles {', '.join(ids)}, and not {', '.join(sorted(unknown))}",
+                expected="answers and corrections that name a needle each",
+                fix=f"state its needle: --confirm {ids[0]}:entry=1",
                 where=scan.volume,
             )
     except NeedlefitError as error:
         return (ReconstructionFailure(scan, error),)
     results = list[Result]()
-    for n, needle in enumerate(needles):
+    for n, (id_, needle) in enumerate(zip(ids, needles, strict=True)):
 
-        def report(stage: str, n: int = n, id_: str = needle.id) -> None:
+        def report(stage: str, n: int = n, id_: str = id_) -> None:
             share = n + STAGES[stage] / STAGES["quality page"]
             progress(f"{id_}: {stage}", round(100 * share), 100 * len(needles))
 
-        found = Examination(needle)
+        moved = scan.needle_corrections.get(id_, scan.corrections)
+        found = Examination(replace(needle, corrections=moved))
         try:
             with located(scan.volume):
                 results.append(examine(found, search, report))

@@ -113,8 +113,10 @@ def _parse_corrections(markups: Markups) -> Corrections:
     )
 
 
-def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, ...]:
+def correct_scans(scans: Sequence[Scan], files: Sequence[Path], every: bool = False) -> tuple[Scan, ...]:
     """Return the scans with the corrections that files hold for them.
+
+    `every`: whether each needle of a scan, `ID-1`, ..., may be corrected.
 
     DataError as `read_corrections`; if no point of a list was moved, and nothing was confirmed; if a scan has
     none of that id, corrections in two files, balls but no known places of markers, or an entry beside that
@@ -123,11 +125,12 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
     corrected = {scan.id: scan for scan in scans}
     for path in files:
         for id_, correction in read_corrections(path).items():
-            scan = corrected.get(id_)
+            owner = id_.rpartition("-")[0] if every and id_ not in corrected else id_
+            scan = corrected.get(owner)
             unmoved = all(places is None for places in vars(correction).values())
             problems = {
                 f"is not among {', '.join(corrected)}": scan is None,
-                "is corrected a second time": scan and scan.corrections,
+                "is corrected a second time": scan and id_ in scan.needle_corrections,
                 "none of its control points was moved": unmoved and scan and not scan.answers,
                 "its balls were moved, but no known places of markers are stated": scan
                 and scan.markers is None
@@ -140,11 +143,12 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
                 raise DataError(
                     f"the scan `{id_}`: {problem}",
                     expected="one list for each scan, with points that were moved or removed",
-                    fix="name that scan, too (of one needle of several the scans.csv of their dataset); move "
+                    fix="name that scan, too, and --all for one needle of several; move "
                     "what is wrong in 3D Slicer, and save the list again (--confirm entry=1 confirms the "
                     "entry as it is); moved balls need --markers, a moved entry no stage",
                     where=path,
                 )
             assert scan is not None
-            corrected[id_] = replace(scan, corrections=correction)
+            moved = {**scan.needle_corrections, id_: correction}
+            corrected[owner] = replace(scan, needle_corrections=moved)
     return tuple(corrected.values())

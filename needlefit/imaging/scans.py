@@ -1,7 +1,6 @@
 """Define one scan of an inserted needle, and read and write the tables whose rows state them."""
 
 import math
-import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-import pandas as pd
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -66,10 +64,6 @@ class LayerSource:
     # The layer it leads into; 1 is the tissue's own surface. None: by its place in the list, from 2.
     into: int | None = None
 
-    def name_file(self, file: str) -> str:
-        """Return the source as a table of scans states it, with `file` for its path."""
-        return file if self.kind is None else f"{file}={self.kind}:{self.into}"
-
     @property
     def is_segmentation(self) -> bool:
         """Whether the file holds a segmentation rather than triangles: anything but a mesh."""
@@ -118,9 +112,10 @@ class Scan:
     needle_at: Floats | None = None  # (3,) or None; a point on the needle that is meant, LPS of the scan, mm
     divided: int = 0  # needles into which the program divided the scan, and set `needle_at`; 0: it did not
     origin: Literal["measured", "synthetic"] = "measured"
-    # As moved in 3D Slicer, and numbers of the answers that a person gave, by the id of the scan or of one of
+    corrections: Corrections | None = None  # of its needle, as moved in 3D Slicer
+    # What a person moved, and numbers of the answers that a person gave, by the id of the scan or of one of
     # its needles; no column of a table states them.
-    corrections: Corrections | None = None
+    needle_corrections: dict[str, Corrections] = field(default_factory=dict)
     answers: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -340,23 +335,3 @@ def scan_id(volume: Path) -> str:
     name = volume.resolve().name if volume.name in ("", "..") else volume.name
     endings = "|".join(map(re.escape, (".dcm", *SEGMENTATION_SUFFIXES)))
     return make_id(re.sub(rf"(\.seg)?({endings})$", "", name, flags=re.IGNORECASE), "scan")
-
-
-def write_scan_table(scans: Sequence[Scan], path: Path, home: Path) -> None:
-    """Write a table of scans, from which `read_scans` reads the same once it stands in the folder `home`."""
-
-    def relative(file: Path) -> str:
-        return Path(os.path.relpath(file.resolve(), home.resolve())).as_posix()
-
-    rows = list[dict[str, Any]]()
-    for scan in scans:
-        row = {column: getattr(scan, name) for name, column in COLUMN_NAMES.items()}
-        row |= {name: relative(row[name]) for name in ("scan", *FILES) if row[name]}
-        row["surfaces"] = ";".join(layer.name_file(relative(layer.path)) for layer in scan.surfaces)
-        pose = scan.stage
-        stage = [*pose.entry, *pose.direction, pose.shift_sd, np.degrees(pose.angle_sd)] if pose else None
-        for name, values in (("stage", stage), ("bevel", scan.bevel), ("needle_at", scan.needle_at)):
-            row |= {} if values is None else dict(zip(VECTORS[name], values, strict=True))
-        rows.append(row)
-    table = pd.DataFrame(rows, columns=list(SCAN_COLUMNS)).replace("", None).dropna(axis=1, how="all")
-    table.to_csv(path, index=False, float_format="%.10g", lineterminator="\n")

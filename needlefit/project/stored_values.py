@@ -16,7 +16,7 @@ _ERRORS: list[type[NeedlefitError]] = [NeedlefitError, *NeedlefitError.__subclas
 
 
 def encode(value: object) -> Any:  # noqa: ANN401 - whatever JSON holds
-    """Return dataclasses, arrays, errors and paths, and tuples of them, as JSON has them."""
+    """Return dataclasses, arrays, errors and paths, and tuples and dicts of them, as JSON has them."""
     if isinstance(value, np.ndarray):
         data = np.ascontiguousarray(value)
         return {"dtype": data.dtype.str, "shape": data.shape, "bytes": b64encode(data.data).decode()}
@@ -26,6 +26,8 @@ def encode(value: object) -> Any:  # noqa: ANN401 - whatever JSON holds
         return {field.name: encode(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple | list):
         return [encode(item) for item in value]
+    if isinstance(value, dict):
+        return {name: encode(item) for name, item in value.items()}
     return str(value) if isinstance(value, Path) else value
 
 

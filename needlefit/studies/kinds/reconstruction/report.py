@@ -18,7 +18,7 @@ from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
 from needlefit.imaging.corrections import LIST_NAME, list_control_points
 from needlefit.imaging.reconstruct import STAGES
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.scans import Scan, write_scan_table
+from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume_files import list_series_files
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.project.callbacks import Progress
@@ -42,7 +42,6 @@ from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchReco
 from needlefit.studies.report import StudyReport, begin_first_page, write_files
 from needlefit.studies.run import Run, store_sources
 
-SCANS_FILE = "scans.csv"
 TIP_COLUMNS = ("tip_l_mm", "tip_p_mm", "tip_s_mm", "tip_along_sd_mm", "tip_across_sd_mm")
 POOR_DEPTH_SD_MM = 0.5  # largest SD of the inserted length (mm) that the first line does not name
 MAX_NAMED_SCANS = 5  # largest number of scans that are named
@@ -336,9 +335,8 @@ def write_reconstruction(
 
     Where none can be held nothing is written, and what was there stays.
 
-    The dataset, with a table of scans that has a row for each needle of divided ones; `quality/<id>.pdf`;
-    `slicer/`, also of the scans that were `refused`; a first study of several
-    insertions; `scenes/<id>.toml`; the files of every run. `sources` are those of the result.
+    The dataset; `quality/<id>.pdf`; `slicer/`, also of the scans that were `refused`; a first study of
+    several insertions; `scenes/<id>.toml`; the files of every run. `sources` are those of the result.
 
     DataError if the dataset has a fault that belongs to no single scan. ConfigError if `folder` holds
     anything that needlefit did not write, or that was changed since.
@@ -348,10 +346,6 @@ def write_reconstruction(
         if not kept:
             return None, failures
         refused = (*refused, *failures)
-        if any(
-            reconstruction.scan.divided for reconstruction in kept
-        ):  # to correct one needle, and for the next run
-            write_scan_table([reconstruction.scan for reconstruction in kept], fresh / SCANS_FILE, folder)
         for done, reconstruction in enumerate(kept):
             begun = STAGES["quality page"]
             percent = begun * len(kept) + (100 - begun) * done
