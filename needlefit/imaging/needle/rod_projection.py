@@ -32,6 +32,7 @@ class Rod:
     stations: Floats  # (S,); where slices are sampled: along the needle
     side: Floats  # (S, U); and across it
     view_step: float  # angle between views along the needle, rad
+    view_growth: float  # growth of that angle, per angle to the needle
     _back_projections: dict[float, csr_array] = field(default_factory=dict, compare=False)
 
     @cached_property
@@ -39,7 +40,7 @@ class Rod:
         """Angles of the rays to the needle (V,) and their weights; dense where rays run along it."""
         half = [0.0]
         while half[-1] < np.pi / 2:
-            half.append(half[-1] * (1 + VIEW_GROWTH) + self.view_step)
+            half.append(half[-1] * (1 + self.view_growth) + self.view_step)
         turned = np.array(half) * (np.pi / 2 / half[-1])
         angles = np.concatenate([-turned[:0:-1], turned])
         weights = np.gradient(angles)

@@ -13,10 +13,12 @@ from needlefit.arrays import Floats, Ints
 from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.errors import DataError
 from needlefit.imaging.bright_voxels import MAX_LISTED_VOXELS, list_bright_voxels
-from needlefit.imaging.constants import HU, MM, PART
+from needlefit.imaging.constants import HU, MM, PART, SCANNER
 from needlefit.imaging.needle.axis_spline import FEWEST
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
+
+MAX_PIECES = 100  # largest number of pieces, the longest, that are joined: noise may leave thousands
 
 
 def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]:
@@ -96,7 +98,8 @@ def _join_pieces(
 ) -> tuple[Component, list[Component]]:
     """Return a needle together with the thin parts that are one tube with it across a gap, and these."""
     own, widest, n = [needle], PART.WIDENING * recipe.needle.diameter_mm, 0
-    left = [part for part in parts if 2 * part.width <= part.length and part.width <= widest]
+    thin = [part for part in parts if 2 * part.width <= part.length and part.width <= widest]
+    left = thin[:MAX_PIECES]
     while n < len(left):
         union = measure_component(volume, np.concatenate([needle.voxels, left[n].voxels]))
         gap = union.length - needle.length - left[n].length
@@ -266,6 +269,7 @@ def list_needles(
     """Return the tubes, of those given longest first, that may be a needle beside the longest one."""
     level, length = ratio * tubes[0].values.mean(), ratio * tubes[0].length
     alike = [part for part in tubes if part.length >= length and part.values.mean() >= level]
-    misses = [abs(math.log(part.width / diameter)) for part in alike]
+    shown = math.hypot(diameter, math.sqrt(8 * math.log(2)) * SCANNER.BLUR.value)  # blur widens its image
+    misses = [abs(math.log(part.width / shown)) for part in alike]
     clear = min(misses) + math.log(PART.CLEAR)
     return [part for part, miss in zip(alike, misses, strict=True) if miss < clear]

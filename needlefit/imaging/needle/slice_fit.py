@@ -22,8 +22,10 @@ Metal elsewhere in the slices is not modelled: without it tips of two volumes er
 by 0.11 and 0.12).
 """
 
+from copy import copy
 from dataclasses import replace
 from itertools import cycle
+from typing import Self
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -39,7 +41,7 @@ from needlefit.imaging.constants import MM, PART, SCANNER, SD
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
 from needlefit.imaging.needle.follow import STEP_MM
 from needlefit.imaging.needle.hub import Hub, find_hub
-from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, VIEW_STEP, Rod
+from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, VIEW_GROWTH, VIEW_STEP, Rod
 from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, ROLL_FACTOR, START_ENDS_MM, TipFit, point_bevel
 from needlefit.imaging.point_spread import PointSpread, expected_spread, robust_sd
 from needlefit.imaging.volume import Volume, to_index
@@ -63,6 +65,7 @@ ROBUST_SD = (20.0, 4.0)  # numbers of deviations beyond which residuals count le
 STEP = 0.05  # step of the difference quotients
 VIEW_PART = 0.2  # angle between views along the needle over that at which a ray leaves it within a slice
 STEPS = 8  # largest number of steps of a fit
+ROUGH_FACTOR = 2.0  # factor on the rod's pieces and on the angles of views while its path is searched
 # first estimates of the model's error: in water, and as a fraction of the image
 FIRST_ERRORS = (0.15, 0.25)
 CORRELATED_SAMPLES = 10.0  # number of samples that count as one
@@ -105,7 +108,8 @@ def place_in_slices(
     problem = _SliceProblem(volume, needle, frame, origin, (x, y, z), spread, hub)
     if np.count_nonzero(problem.seen.any(axis=0)) < 2 * len(problem.start):
         return None
-    theta, covariance, error = problem.solve()
+    start = problem.place_rod(ROUGH_FACTOR).search()
+    theta, covariance, error = problem.place_rod(1.0).solve(start)
     across, along, (end, roll), scan = problem.split(theta)
     transparent = scan[0] < problem.means[0] - SD.DISAGREEMENT * problem.sds[0]
     if transparent and hub is None and error > PART.END_MISFIT:
@@ -147,6 +151,9 @@ class _SliceProblem:
     Parameters: coefficients of the axis across and along the normal, end, the bevel's roll, and the scan's.
     """
 
+    to_columns: Floats  # (columns, C) from coefficients to the axis at the pieces of the rod
+    end: float  # about where the needle ends, mm
+    rod: Rod
     held: csr_array  # the hub on the rays
 
     def __init__(
@@ -200,29 +207,33 @@ class _SliceProblem:
         shear = basis.derivative(3)((unique[1:] + unique[:-1]) / 2)
         bent = np.vstack([shear, basis.derivative(2)(unique[-1:]) / MM.END_MOMENT])
         self.bent = bent * moment / SHEAR_SD_MM2  # (J, C) from coefficients to shear forces, in deviations
-        self.hub, self.thick = hub, thick
+        self.hub, self.thick, self.needle = hub, thick, needle
         slope = abs(z[-1] - z[0]) / (x[-1] - x[0])
-        view_step = max(VIEW_STEP, VIEW_PART * needle.diameter_mm * slope / (needle.diameter_mm + thick))
-        columns = np.arange(x[-1] + MM.BEYOND_END, x[-1] - needle.length_mm, -COLUMN_MM)
-        self.to_columns = _extend(
-            basis, columns
-        )  # (columns, C) from coefficients to the axis at the rod's pieces
-        # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
-        true = np.tan(np.radians(needle.bevel_deg))
-        steep = min(true, needle.diameter_mm / COLUMN_MM)
-        # a bevel that projects as the end does reaches farther
-        self.end = x[-1] + radius / steep - radius / true
-        self.rod = Rod(columns, radius, steep, thick, slices * thick, stations, side, view_step)
-        if hub is not None:
-            places, *course = hub.ends.T
-            begin, end = places.tolist()
-            across, along = (np.interp(columns, places, beside) for beside in course)
-            self.held = self.rod.lengths(across, along, end, 0.0, (begin, hub.radius))
+        self.view_step = max(VIEW_STEP, VIEW_PART * needle.diameter_mm * slope / (needle.diameter_mm + thick))
+        self.last, self.samples = x[-1], (thick, slices * thick, stations, side)
         expected = spread or expected_spread(thick)
         profile = np.log(expected.weigh_planes(SENSITIVITY_AT[1:] * thick))
         # what is known of the parameters of the scan (11,), and its deviations
         self.means = np.concatenate([np.log([part.value for part in BEAM]), expected.parameters[:2], profile])
         self.sds = np.concatenate([[part.sd for part in BEAM], expected.sds[:2], PROFILE_SDS])
+
+    def place_rod(self, rough: float) -> Self:
+        """Return the problem of a rod in these samples; pieces, and angles of the views, grow by `rough`."""
+        placed, radius, step = copy(self), self.needle.diameter_mm / 2, rough * COLUMN_MM
+        columns = np.arange(self.last + MM.BEYOND_END, self.last - self.needle.length_mm, -step)
+        placed.to_columns = _extend(self.basis, columns)
+        # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
+        true = np.tan(np.radians(self.needle.bevel_deg))
+        steep = min(true, 2 * radius / step)
+        # a bevel that projects as the end does reaches farther
+        placed.end = self.last + radius / steep - radius / true
+        placed.rod = Rod(columns, radius, steep, *self.samples, rough * self.view_step, rough * VIEW_GROWTH)
+        if self.hub is not None:
+            places, *course = self.hub.ends.T
+            begin, end = places.tolist()
+            across, along = (np.interp(columns, places, beside) for beside in course)
+            placed.held = placed.rod.lengths(across, along, end, 0.0, (begin, self.hub.radius))
+        return placed
 
     def split(self, theta: Floats) -> list[Floats]:
         """Return the parameters of each kind."""
@@ -337,9 +348,8 @@ class _SliceProblem:
         steps = np.eye(2 * count, 2 * count + 2 + len(self.means))
         return np.stack([shapes @ steps[:count], self.thick * shapes @ steps[count:]])
 
-    def solve(self) -> tuple[Floats, Floats, float]:
-        """Return the parameters, their covariance and the model's relative error."""
-        best = self.search()
+    def solve(self, best: Floats) -> tuple[Floats, Floats, float]:
+        """Return parameters near `best`, their covariance and the model's relative error."""
         # with ends before rolls a tip was 0.41 mm short, with both at once 0.01
         best = self.turn(self.descend(best, self.first_scale, ROBUST_SD[0]).x)
         best = self.leave_minima(self.descend(best, self.first_scale, ROBUST_SD[1]).x)

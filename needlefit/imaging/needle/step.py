@@ -42,7 +42,9 @@ def find_step(volume: Volume, axis: AxisSpline, near_slices: bool) -> Step | Non
     # anew: sections at a step, which count less in a fit, count in full
     left = beside - slopes @ (inverse @ (slopes.T @ beside))
     height = (axis.points - volume.origin) @ normal / volume.grid.slice_distance
-    boundaries = np.arange(np.floor(height.min()), height.max())
+    # sections of a base in tissue or air show its end, too
+    tested = height[(axis.s > MM.EDGE_BLUR) & (axis.s < axis.length - MM.EDGE_BLUR)]
+    boundaries = np.arange(np.floor(tested.min()), tested.max())
     step, probability = None, PROBABILITY.FALSE_ALARM
     for boundary in boundaries:
         shift = np.clip(height - boundary, 0, 1)
