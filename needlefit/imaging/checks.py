@@ -97,12 +97,7 @@ def _list_entry_warnings(result: Reconstruction) -> Iterator[str]:
             f"the fiducial registration error is {fit.fre:.2f} mm, {fit.expected_fre:.2f} was expected "
             f"(probability {fit.p_value:.1g}): the stated deviations are too small, or a marker has moved"
         )
-    if pose.source == "shaft":
-        yield (
-            f"the entry pose is that of the shaft outside the tissue: ± {pose.sd_at(result.depth):.2f} mm at "
-            "the tip's depth; the stage's pose is more accurate, where it is known"
-        )
-    elif result.shaft is not None:
+    if pose.source == "stage" and result.shaft is not None:
         yield from compare_poses(pose, result.shaft)
     if entry.confirmed:
         yield f"entry confirmed by a person: {entry.confirmed}"
