@@ -15,7 +15,7 @@ with equal deviations eq. 46 of J. M. Fitzpatrick et al., IEEE Trans. Med. Imagi
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import islice, product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -126,10 +126,10 @@ def list_pairings(
         yield np.array(begun)
         return
     first = begun[-1][0] + 1 if begun else 0
-    for n in range(first, len(near) - count + len(begun) + 1):  # found markers that leave enough others
-        for m in range(near.shape[1]):
-            if all(j != m and near[i, j, n, m] for i, j in begun):
-                yield from list_pairings(near, count, (*begun, (n, m)))
+    found = range(first, len(near) - count + len(begun) + 1)  # that leave enough others
+    for pair in product(found, range(near.shape[1])):
+        if all(j != pair[1] and near[i, j][pair] for i, j in begun):
+            yield from list_pairings(near, count, (*begun, pair))
 
 
 def align(found: Floats, known: Floats, variance: Floats, pairs: Ints) -> Registration:

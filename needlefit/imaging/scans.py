@@ -18,6 +18,7 @@ from pydantic import (
     ValidationInfo,
     model_validator,
 )
+from pydantic_core import ErrorDetails
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
@@ -135,8 +136,7 @@ VECTORS = {
 FILES = ("mask", "markers", "fiducials")
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 SEGMENTATION_SUFFIXES = (*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)
-SCAN_TABLE_FIX = "write a table of scans, with a column for it"
-_LAYER = re.compile(r"(?P<file>.+?)\s*(=(?P<kind>sheet|solid):(?P<into>[1-9]\d{0,2}))?", re.DOTALL)
+_LAYER = re.compile(r"^(.+?)\s*(?:=(sheet|solid):([1-9]\d{0,2}))?$", re.DOTALL)
 
 
 def _require_id(text: str) -> str:
@@ -155,27 +155,22 @@ def _locate(file: str, info: ValidationInfo) -> Path:
 
 
 def _parse_layers(text: str, info: ValidationInfo) -> tuple[LayerSource, ...]:
-    parts = filter(None, map(str.strip, text.split(";")))
-    layers = tuple(_parse_layer(part, Path(info.context or "")) for part in parts)
+    """Return the layers stated as `file` or `file=kind:into`, separated by `;`."""
+    layers = []
+    for part in filter(None, map(str.strip, text.split(";"))):
+        ((file, kind, into),) = _LAYER.findall(part)  # a file's name may be anything
+        path = Path(info.context or "", file)
+        endings = MESH_SUFFIXES if kind else (*MESH_SUFFIXES, *SEGMENTATION_SUFFIXES)
+        if not is_file(path) or not path.name.lower().endswith(endings):
+            raise ValueError(
+                f"an existing mesh ({', '.join(MESH_SUFFIXES)}), with or without =sheet:2 or =solid:3, or "
+                f"segmentation ({', '.join(SEGMENTATION_SUFFIXES)}); {path} is none"
+            )
+        layers.append(LayerSource(path, kind or None, int(into) if into else None))
     alone = len(layers) == 1 or not any(layer.is_segmentation for layer in layers)
     if not alone or len({layer.path for layer in layers}) < len(layers):
         raise ValueError("one segmentation of all layers, or a mesh for each, none twice")
-    return layers
-
-
-def _parse_layer(text: str, folder: Path) -> LayerSource:
-    """Return the layer stated as `file` or `file=kind:into`, relative to `folder`."""
-    stated = _LAYER.fullmatch(text)
-    assert stated is not None  # a file's name may be anything
-    path = folder / stated["file"]
-    endings = MESH_SUFFIXES if stated["kind"] else (*MESH_SUFFIXES, *SEGMENTATION_SUFFIXES)
-    if not is_file(path) or not path.name.lower().endswith(endings):
-        raise ValueError(
-            f"an existing mesh ({', '.join(MESH_SUFFIXES)}), with or without =sheet:2 or =solid:3, or "
-            f"segmentation ({', '.join(SEGMENTATION_SUFFIXES)}); {path} is none"
-        )
-    kind: SurfaceKind = "sheet" if stated["kind"] == "sheet" else "solid"
-    return LayerSource(path, kind, int(stated["into"])) if stated["kind"] else LayerSource(path)
+    return tuple(layers)
 
 
 Id = Annotated[str, AfterValidator(_require_id)]
@@ -220,42 +215,6 @@ class ScanRow(Record):
         return self
 
 
-COLUMN_NAMES = {name: field.alias or name for name, field in ScanRow.model_fields.items()}
-SCAN_COLUMNS = tuple(column for name in COLUMN_NAMES for column in VECTORS.get(name, (COLUMN_NAMES[name],)))
-
-
-def _build_scan(cells: Mapping[str, str], folder: Path, where: str, faults: list[Fault]) -> Scan | None:
-    """Return the scan that the cells of a row state, by their columns; None after a fault, which is noted."""
-    stated: dict[str, Any] = {name: text for name, text in cells.items() if text}
-    for name, columns in VECTORS.items():
-        vector = [stated.pop(column, None) for column in columns]
-        stated |= {name: vector} if any(vector) else {}
-    try:
-        row = ScanRow.model_validate(stated, context=folder)
-    except ValidationError as error:
-        for detail in error.errors():
-            name, *place = map(str, detail["loc"] or ("",))
-            column = VECTORS[name][int(place[0])] if place else name
-            value = repr(detail["input"]) if isinstance(detail["input"], str) else "empty"
-            text = re.sub("Value error, |Input should be |, unable to parse.*", "", detail["msg"])
-            if detail["type"] == "extra_forbidden":
-                text = f"the columns {', '.join(SCAN_COLUMNS)}"
-            note_fault(
-                faults,
-                where,
-                f"{column} is {value}" if name else text,
-                text if name else "",
-                "correct it, or leave it out with what belongs to it",
-            )
-        return None
-    fields, pose = dict(row), row.stage
-    if pose:
-        fields["stage"] = StagePose(np.array(pose[:3]), normalize(pose[3:6]), pose[6], math.radians(pose[7]))
-    fields["bevel"] = row.bevel and normalize(row.bevel)
-    fields["needle_at"] = row.needle_at and np.array(row.needle_at)
-    return Scan(**fields)
-
-
 def read_scans(path: Path) -> tuple[Scan, ...]:
     """Read a table of scans, one per row, in its order; paths in it are relative to its folder.
 
@@ -274,42 +233,17 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
             fix="rename the column; tables of needles' points are read by `needlefit import`",
             where=f"{path}:1",
         )
-    rows = cells.to_dict("records")
-    places = [table.where(n) for n in range(len(rows))]
-    are_marked = [bool(row.get("markers")) for row in rows]
-    if len({*are_marked}) > 1:  # the worlds of the others would be others
+    rows = [(table.where(n), row) for n, row in enumerate(cells.to_dict("records"))]
+    unmarked = [place for place, row in rows if not row.get("markers")]
+    if 0 < len(unmarked) < len(rows):  # the worlds of the others would be others
         note_fault(
             faults,
-            places[are_marked.index(False)],
+            unmarked[0],
             "`markers` is empty, but other scans have some",
             "one world for all: markers for every scan, or for none",
             "add the markers' places, or put this scan into a table of its own",
         )
-    return _build_scans(rows, places, path, path.parent, faults)
-
-
-def _build_scans(
-    rows: Sequence[Mapping[Any, str]], places: Sequence[str], path: Path, folder: Path, faults: list[Fault]
-) -> tuple[Scan, ...]:
-    """Return the scans of rows; DataError about `path` listing the `faults` found, and all others.
-
-    Files are named from `folder`.
-    """
-    ids = [row.get("id") or scan_id(Path(row["scan"])) for row in rows]
-    cells = ({**row, "id": id_} for row, id_ in zip(rows, ids, strict=True))
-    scans = [_build_scan(row, folder, place, faults) for row, place in zip(cells, places, strict=True)]
-    for n, id_ in enumerate(ids):
-        if (first := ids.index(id_)) < n:
-            note_fault(
-                faults,
-                places[n],
-                f"has the id {id_}, as {places[first]} has",
-                "a different id for every scan: it names files of the dataset",
-                "give each an id of its own in a table of scans",
-            )
-    if faults:
-        raise as_error(faults, path)
-    return tuple(scan for scan in scans if scan)
+    return _build_scans(rows, path, path.parent, faults)
 
 
 def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[Scan, ...]:
@@ -323,11 +257,67 @@ def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[S
     faults: list[Fault] = []
     once = shared.fiducials or shared.mask or shared.series
     if len(volumes) > 1 and once:
-        note_fault(faults, once, f"is given for {len(volumes)} scans", "one scan", SCAN_TABLE_FIX)
+        fix = "write a table of scans, with a column for it"
+        note_fault(faults, once, f"is given for {len(volumes)} scans", "one scan", fix)
     stated = {name: str(getattr(shared, name) or "") for name in ("medium", "series", *FILES)}
     stated |= {"surfaces": ";".join(shared.layers), "surfaces_in": shared.layers_in}
-    rows = [{**stated, "scan": str(volume)} for volume in volumes]
-    return _build_scans(rows, [row["scan"] for row in rows], volumes[0], Path(), faults)
+    rows = [(str(volume), {**stated, "scan": str(volume)}) for volume in volumes]
+    return _build_scans(rows, volumes[0], Path(), faults)
+
+
+def _build_scans(
+    rows: Sequence[tuple[str, Mapping[Any, str]]], path: Path, folder: Path, faults: list[Fault]
+) -> tuple[Scan, ...]:
+    """Return the scans of rows, each a place and its cells by their columns.
+
+    Files are named from `folder`. DataError about `path` listing the `faults` found, and all others.
+    """
+    scans, first = list[Scan](), dict[str, str]()
+    for place, row in rows:
+        cells: dict[str, Any] = {"id": scan_id(Path(row["scan"]))} | {k: v for k, v in row.items() if v}
+        if cells["id"] in first:
+            note_fault(
+                faults,
+                place,
+                f"has the id {cells['id']}, as {first[cells['id']]} has",
+                "a different id for every scan: it names files of the dataset",
+                "give each an id of its own in a table of scans",
+            )
+        first.setdefault(cells["id"], place)
+        for name, columns in VECTORS.items():
+            vector = [cells.pop(column, None) for column in columns]
+            cells |= {name: vector} if any(vector) else {}
+        try:
+            scans.append(_make_scan(ScanRow.model_validate(cells, context=folder)))
+        except ValidationError as error:
+            faults += [_describe_fault(detail, place) for detail in error.errors()]
+    if faults:
+        raise as_error(faults, path)
+    return tuple(scans)
+
+
+def _make_scan(row: ScanRow) -> Scan:
+    fields, stage = dict(row), row.stage
+    if stage:
+        pose = np.array(stage[:3]), normalize(stage[3:6])
+        fields["stage"] = StagePose(*pose, stage[6], math.radians(stage[7]))
+    fields["bevel"] = row.bevel and normalize(row.bevel)
+    fields["needle_at"] = row.needle_at and np.array(row.needle_at)
+    return Scan(**fields)
+
+
+def _describe_fault(detail: ErrorDetails, place: str) -> Fault:
+    """Return what is wrong with a cell, or with several, of the row at a place."""
+    fix = "correct it, or leave it out with what belongs to it"
+    text = re.sub("Value error, |Input should be |, unable to parse.*", "", detail["msg"])
+    if not detail["loc"]:
+        return DataError(text, fix=fix, where=place)
+    name, *part = map(str, detail["loc"])
+    column = VECTORS[name][int(part[0])] if part else name
+    value = repr(detail["input"]) if isinstance(detail["input"], str) else "empty"
+    if detail["type"] == "extra_forbidden":
+        text = "a column of `needlefit explain scans.csv`"
+    return DataError(f"{column} is {value}", expected=text, fix=fix, where=place)
 
 
 def scan_id(volume: Path) -> str:
