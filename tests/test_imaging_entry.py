@@ -14,14 +14,16 @@ from scanner.write import write_volume
 from scipy.special import ndtr
 
 from needlefit.errors import DataError
+from needlefit.geometry.curves import arc_length
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.imaging.batch import reconstruct_needles
 from needlefit.imaging.checks import compare_poses
 from needlefit.imaging.entry import choose_entry
 from needlefit.imaging.materials import list_materials
+from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.pose import find_first_contact, pose_from_shaft
 from needlefit.imaging.reconstruct import Examination, VolumeSearch, examine
-from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
+from needlefit.imaging.reconstruction import EntryCandidate, EntryPose, IntensityProfile, NeedleImage
 from needlefit.imaging.scans import Corrections, LayerSource, Scan
 
 FREE = 95.0
@@ -37,7 +39,14 @@ def fit_shaft(origin, direction, bend=0.0, turn=0.0, shown=40.0):
     side = np.linalg.svd(np.outer(direction, direction))[0][:, 1]
     deflection = bend * (3 * x**2 - 2 * x**3) + turn * FREE * (x**3 - x**2)
     points = np.asarray(origin) + np.outer(s, direction) + np.outer(deflection, side)
-    return points, pose_from_shaft(points, s, np.full(len(s), 0.005), FREE, cases.RECIPE.entry, 0.1)
+    needle = Centerline(points, np.full(len(s), 0.005), points[-1], np.zeros(2), np.zeros(3))
+    scan = Scan("a", Path("a.nrrd"), "box", guide_distance=FREE)
+    nothing = IntensityProfile(np.empty(0), np.empty(0))
+    image = NeedleImage(
+        scan=scan, grid=cases.grid(), needle_axis=needle, profile=nothing, passed=(), entry=None
+    )
+    entry = EntryCandidate(arc_length(points)[-1] + 0.5, 0.1)
+    return points, pose_from_shaft(image, entry, cases.RECIPE)
 
 
 def axis(direction):

@@ -97,7 +97,7 @@ def _list_entry_warnings(result: Reconstruction) -> Iterator[str]:
             f"the fiducial registration error is {fit.fre:.2f} mm, {fit.expected_fre:.2f} was expected "
             f"(probability {fit.p_value:.1g}): the stated deviations are too small, or a marker has moved"
         )
-    if pose.source == "stage" and result.shaft is not None:
+    if result.shaft is not None:
         yield from compare_poses(pose, result.shaft)
     if entry.confirmed:
         yield f"entry confirmed by a person: {entry.confirmed}"

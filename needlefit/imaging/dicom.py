@@ -22,7 +22,14 @@ from scipy.linalg import polar
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError, located
-from needlefit.imaging.volume import SPACINGS_MM, VoxelGrid, check_grid, check_size, fill_unknown
+from needlefit.imaging.volume import (
+    AXES_COSINE_TOLERANCE,
+    SPACINGS_MM,
+    VoxelGrid,
+    check_grid,
+    check_size,
+    fill_unknown,
+)
 from needlefit.imaging.volume_files import list_series_files
 from needlefit.project.folders import MAX_LISTED_FILES
 from needlefit.project.input_files import is_file, open_regular
@@ -30,7 +37,6 @@ from needlefit.project.reader_process import Arrays, allow_memory
 
 # largest distance (mm) of a slice from its place on an even stack: positions are written to 0.1 mm or better
 MAX_OFFSET_MM = 0.1
-MAX_LEAN = 1e-3  # largest tilt of the stack, as a sine: axes are written to three decimals or better
 # Modalities whose values are attenuations; converters leave the entry out, or write OT (other).
 XRAY_MODALITIES = ("", "CT", "XA", "RF", "DX", "PX", "IO", "OT")
 # allowed values of these entries; "" where there is none
@@ -235,12 +241,12 @@ def _list_faults(item: DicomSlice, first: DicomSlice) -> Iterator[str]:
         if len(number[name]) != count or not are_bounded(number[name]):
             yield f"its {name} is {item.text(name)[:40] or 'not stated'}, no {count} finite number(s)"
     axes = number["ImageOrientationPatient"].reshape(2, 3)
-    if not (np.abs(axes @ axes.T - np.eye(2)) <= 2 * MAX_LEAN).all():
+    if not (np.abs(axes @ axes.T - np.eye(2)) <= AXES_COSINE_TOLERANCE).all():
         yield f"ImageOrientationPatient is {axes.round(4).tolist()}, no two perpendicular unit vectors"
     if item.text("FrameOfReferenceUID") != first.text("FrameOfReferenceUID"):
         yield f"its FrameOfReferenceUID is not that of {first.file.name}"
     for name in ("Rows", "Columns", "ImageOrientationPatient", "PixelSpacing"):
-        if not np.allclose(number[name], first.number[name], 0, MAX_LEAN):
+        if not np.allclose(number[name], first.number[name], 0, AXES_COSINE_TOLERANCE):
             yield f"its {name} is {number[name]}, that of {first.file.name} is {first.number[name]}"
 
 

@@ -66,15 +66,10 @@ def list_materials(profile: IntensityProfile, tip: float) -> tuple[MaterialRun, 
     values = np.interp(s, profile.s[visible], profile.around[visible])
     places, rises = _find_changes(s, values)
     levels = [np.median(part) for part in np.split(values, np.searchsorted(s, places))]
-    edges = list[tuple[float, float]]()
-    for place, rise in zip(places.tolist(), rises, strict=True):
-        # its own overshoot, by the kernel, does not end what is fitted
-        far = np.abs(places - place) > MM.MATCH
-        others = places[far | (np.abs(rises) > PART.OVERSHOOT * abs(rise))]
-        near = max(others[others < place], default=-np.inf), min(others[others > place], default=np.inf)
-        # the face of metal is no error function
-        metal = abs(rise) >= 2 * HU.METAL
-        edges.append((place, MM.HIDDEN_FACE_SD) if metal else _fit_edge(s, values, near[0], place, near[1]))
+    ends, edges = [-np.inf, *places.tolist(), np.inf], list[tuple[float, float]]()
+    for n, rise in enumerate(rises.tolist(), start=1):
+        metal = abs(rise) >= 2 * HU.METAL  # its face is no error function
+        edges.append((ends[n], MM.HIDDEN_FACE_SD) if metal else _fit_edge(s, values, *ends[n - 1 : n + 2]))
     begins, sds = np.array([(first, 0.0), *edges]).T
     rows = np.stack([begins, np.append(begins[1:], tip), levels, sds, np.append(0.0, rises)], axis=1)
     runs = list[MaterialRun]()
@@ -100,8 +95,12 @@ def _find_changes(s: Floats, values: Floats) -> tuple[Floats, Floats]:
     middles = np.array([0, *(steepest[1:] + steepest[:-1]) // 2, len(s) - 1])
     before = values[np.maximum(steepest - apart, middles[:-1])]
     behind = values[np.minimum(steepest + apart, middles[1:])]
-    use = np.abs(behind - before) >= HU.STEP
-    return s[steepest[use]], (behind - before)[use]
+    places, rises = s[steepest], behind - before
+    close = np.abs(places - places[:, None]) <= MM.MATCH
+    # what sharp kernels show beside a change is none
+    overshoot = (close & (np.abs(rises)[:, None] <= PART.OVERSHOOT * np.abs(rises))).any(axis=1)
+    use = (np.abs(rises) >= HU.STEP) & ~overshoot
+    return places[use], rises[use]
 
 
 def _fit_edge(s: Floats, values: Floats, last: float, place: float, following: float) -> tuple[float, float]:

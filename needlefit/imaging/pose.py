@@ -4,6 +4,8 @@ The axis of the shaft is fitted by `geometry.shaft`, with the priors `[entry] en
 entry_tilt_sd_deg` of what the tissue moved and turned at the entry.
 """
 
+from contextlib import suppress
+
 import numpy as np
 
 from needlefit.arrays import Floats
@@ -17,31 +19,25 @@ from needlefit.imaging.entry import locate_entry
 from needlefit.imaging.reconstruction import EntryCandidate, EntryPose, NeedleImage
 from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import StagePose
-from needlefit.schemas.reconstruction import ReconstructionEntryRecord, ReconstructionRecord
+from needlefit.schemas.reconstruction import ReconstructionRecord
 
 
 def estimate_first_contact(
     image: NeedleImage, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
 ) -> tuple[EntryCandidate, EntryPose, EntryPose | None]:
-    """Return where the tissue begins, the entry pose, and the pose of the shaft outside, if it is visible.
+    """Return where the tissue begins, the entry pose, and beside a stage the pose of the shaft, if it shows.
 
     DataError if the stage's pose is not the needle's; without a stage if the shaft or the entry is not known.
     """
-    world, stage = image.whole_needle, image.scan.stage
-    pose = None if stage is None else pose_from_stage(stage, image.registration)
-    if pose is None:
+    stage = image.scan.stage
+    if stage is None:
         entry = locate_entry(image, surfaces, recipe)
-    else:
-        entry = EntryCandidate(find_first_contact(world, pose), pose.along_sd)
-    s = arc_length(world) - entry.at
-    free = image.scan.guide_distance or recipe.needle.length_mm - s[-1]
-    try:
-        shaft = pose_from_shaft(world, s, image.needle_axis.sd, free, recipe.entry, entry.sd)
-    except DataError:  # too little of it shows
-        if pose is None:
-            raise
-        return entry, pose, None
-    return entry, pose or shaft, shaft
+        return entry, pose_from_shaft(image, entry, recipe), None
+    pose = pose_from_stage(stage, image.registration)
+    entry = EntryCandidate(find_first_contact(image.whole_needle, pose), pose.along_sd)
+    with suppress(DataError):  # too little of it shows
+        return entry, pose, pose_from_shaft(image, entry, recipe)
+    return entry, pose, None
 
 
 def pose_from_stage(stage: StagePose, registration: Registration | None) -> EntryPose:
@@ -66,19 +62,13 @@ def pose_from_stage(stage: StagePose, registration: Registration | None) -> Entr
     )
 
 
-def pose_from_shaft(
-    points: Floats, s: Floats, sd: Floats, free: float, rules: ReconstructionEntryRecord, along_sd: float
-) -> EntryPose:
+def pose_from_shaft(image: NeedleImage, entry: EntryCandidate, recipe: ReconstructionRecord) -> EntryPose:
     """Return the pose of the axis on which the shaft was pushed; its origin is where that axis enters.
-
-    `points`: (N, 3); the needle, world, base side first, mm.
-    `s`: (N,); from the entry along the needle, mm; below zero outside the tissue.
-    `sd`: (N,); in any one direction across, mm.
-    `free`: length from where the shaft is clamped to the entry, mm.
-    `along_sd`: deviation of the entry along the needle, mm.
 
     DataError if too little of the shaft shows.
     """
+    s = arc_length(image.whole_needle) - entry.at
+    free = image.scan.guide_distance or recipe.needle.length_mm - s[-1]  # from where the shaft is clamped
     use = s < -MM.BLUR_CORE
     length = float(np.ptp(s[use])) if use.any() else 0.0
     if length < MM.SHAFT:
@@ -87,12 +77,12 @@ def pose_from_shaft(
             expected=f"at least {MM.SHAFT:g} mm, or the pose of the stage",
             fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle",
         )
-    s, points, sd = s[use], points[use], sd[use]
+    s, points, sd = s[use], image.whole_needle[use], image.needle_axis.sd[use]
     # errors of the traced axis are correlated; a tenth is independent, which keeps the matrix invertible
     noise = np.outer(sd, sd) * np.exp(-np.abs(s[:, None] - s) / MM.KNOT) + np.diag((0.1 * sd) ** 2)
-    turn_sd = np.radians(rules.entry_tilt_sd_deg)
-    axis = fit_shaft_axis(points, s, noise, free, rules.entry_shift_sd_mm, turn_sd)
-    return EntryPose(axis.origin, axis.direction, "shaft", axis.shift_sd, axis.angle_sd, along_sd)
+    turn_sd = np.radians(recipe.entry.entry_tilt_sd_deg)
+    axis = fit_shaft_axis(points, s, noise, free, recipe.entry.entry_shift_sd_mm, turn_sd)
+    return EntryPose(axis.origin, axis.direction, "shaft", axis.shift_sd, axis.angle_sd, entry.sd)
 
 
 def find_first_contact(points: Floats, pose: EntryPose) -> float:

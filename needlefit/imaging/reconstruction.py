@@ -152,7 +152,7 @@ class Reconstruction(NeedleImage):
 
     entry: EntryCandidate  # where the tissue begins
     pose: EntryPose
-    shaft: EntryPose | None  # the pose by the shaft outside the tissue; None where too little of it shows
+    shaft: EntryPose | None  # by the shaft outside the tissue, beside a stage; None where too little shows
     frame: Frame  # the constraint frame C in the world
     points: Floats  # (N, 3); the centreline from first contact to tip, world, mm
     # (N,); of each point in any one direction across, mm; the registration's error, common to all, is not in

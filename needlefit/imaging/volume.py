@@ -21,8 +21,8 @@ DEFAULT_MAX_VOXELS = 2**30
 # spacings of real scans (mm), from the finest micro-CT to the thickest slices; outside, the unit of the file
 # is not mm
 SPACINGS_MM = (1e-3, 50.0)
-# largest deviation of axes from right angles and unit length, as cosines printed with four decimals have
-AXES_COSINE_TOLERANCE = 2e-4
+# largest deviation of axes from right angles and unit length, as cosines printed with three decimals have
+AXES_COSINE_TOLERANCE = 2e-3
 MAX_EQUAL = 3  # largest number of voxels around an object that have its largest value by chance
 # largest tilt (degrees): a gantry tilts by 30 at most; its slices then lean over one another by as much
 MAX_TILT_DEG = 35.0
