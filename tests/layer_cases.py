@@ -1,8 +1,9 @@
 """Segmentations and meshes of layers of known shape, written as 3D Slicer and others write them."""
 
-import gzip
+from dataclasses import replace
 from pathlib import Path
 
+import nrrd
 import numpy as np
 import trimesh
 from scanner.write import write_volume
@@ -34,16 +35,13 @@ def scan(*layers, **changes):
     return Scan("a", Path("a.nrrd"), "medium", surfaces=sources, **changes)
 
 
-def labelled(label, shape=(60, 64, 56), spacing=(SPACING,) * 3, direction=TILTED):
-    """A volume about LPS (0, 0, 0) whose voxels hold `label` of their LPS points (N, 3)."""
-    empty = Volume(np.zeros(shape, dtype=np.float32), np.zeros(3), np.array(spacing), direction)
-    ijk = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1).reshape(-1, 3)[
-        :, ::-1
-    ]
-    points = to_patient(empty, ijk)
+def labelled(label, shape=(60, 64, 56)):
+    """A tilted volume about LPS (0, 0, 0) whose voxels hold `label` of their LPS points (N, 3)."""
+    empty = Volume(np.zeros(shape, dtype=np.float32), np.zeros(3), np.full(3, SPACING), TILTED)
+    points = to_patient(empty, np.indices(shape)[::-1].reshape(3, -1).T)
     origin = -points.mean(axis=0)
     values = label(points + origin).reshape(shape).astype(np.float32)
-    return Volume(values, origin, np.array(spacing), direction)
+    return replace(empty, values=values, origin=origin)
 
 
 def save(path, volume):
@@ -52,27 +50,20 @@ def save(path, volume):
     return path
 
 
-def save_segments(path, volumes, segments):
+def save_segments(path, volume, segments, planes=1):
     """Write what 3D Slicer writes: one layer of voxels, or several where segments overlap; (value, name)s."""
-    first, several = volumes[0], len(volumes) > 1
-    values = np.stack([volume.values for volume in volumes], axis=-1) if several else first.values
-    steps = [f"({','.join(map(repr, step))})" for step in (first.direction * first.spacing).T.tolist()]
-    head = [
-        "NRRD0004",
-        "type: unsigned char",
-        f"dimension: {values.ndim}",
-        "space: left-posterior-superior",
-        f"sizes: {' '.join(map(str, values.shape[::-1]))}",
-        f"space directions: {'none ' * several}{' '.join(steps)}",
-        f"kinds: {'list ' * several}domain domain domain",
-        "encoding: gzip",
-        f"space origin: ({','.join(map(repr, first.origin.tolist()))})",
-    ]
+    several, steps = int(planes > 1), (volume.direction * volume.spacing).T
+    header = {
+        "space": "left-posterior-superior",
+        "kinds": [*several * ["list"], *3 * ["domain"]],
+        "space directions": np.vstack([np.full((several, 3), np.nan), steps]),
+        "space origin": volume.origin,
+    }
     for n, (value, name) in enumerate(segments):
-        head += [f"Segment{n}_ID:=Segment_{n + 1}", f"Segment{n}_LabelValue:={value}"]
-        head += [f"Segment{n}_Layer:=0", f"Segment{n}_Name:={name}"]
-    data = gzip.compress(values.astype(np.uint8).tobytes(), 1)
-    path.write_bytes("\n".join(head).encode() + b"\n\n" + data)
+        header |= {f"Segment{n}_ID": f"Segment_{n + 1}", f"Segment{n}_Layer": "0"}
+        header |= {f"Segment{n}_LabelValue": f"{value}", f"Segment{n}_Name": name}
+    values = np.stack(planes * [volume.values.astype(np.uint8)], axis=-1)
+    nrrd.write(str(path), values if several else values[..., 0], header, index_order="C")
     return path
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 
 import numpy as np
 import pytest
@@ -100,7 +101,7 @@ def test_planes_through_the_voxels_stay_where_they_are_and_leave_no_gap(slabs_fi
 )
 def test_segments_that_are_not_those_of_the_voxels_are_refused(tmp_path, parts, planes, segments, words):
     volume = labelled(lambda p: parts - 1 + (p[:, 0] > 0))
-    message = refused(save_segments(tmp_path / "l.seg.nrrd", planes * [volume], segments))
+    message = refused(save_segments(tmp_path / "l.seg.nrrd", volume, segments, planes))
     assert words in message and ("Segment Editor" in message) == (words == "number")
 
 
@@ -142,23 +143,20 @@ def test_axes_stated_by_slicer_are_used(tmp_path, name, space, sign):
     assert sorted(np.round(found.vertices, 4).tolist()) == sorted((SHEET.vertices * sign).round(4).tolist())
 
 
-def holed(faces):
-    mesh = trimesh.creation.icosphere(subdivisions=3, radius=15)
-    mesh.update_faces(np.arange(len(mesh.faces)) >= faces)
-    return mesh
+BALL = trimesh.creation.icosphere(subdivisions=3, radius=15)
 
 
 @pytest.mark.parametrize(
     ("mesh", "kind", "words"),
     [
-        (holed(1), "solid", "1 hole, 3 open edges"),
+        (trimesh.Trimesh(BALL.vertices, BALL.faces[1:]), "solid", "1 hole, 3 open edges"),
         (BOX, "sheet", "closed"),
         (BOX.copy().apply_scale(1e3), "solid", "mm across"),
     ],
 )
 def test_a_mesh_that_is_no_boundary_is_refused_with_its_fault(tmp_path, mesh, kind, words):
     file = save_mesh(tmp_path / "m.stl", mesh)
-    message = refused(LayerSource(file, kind, 2) if kind else file)
+    message = refused(LayerSource(file, kind, 2))
     assert words in message and str(file) in message
 
 
@@ -220,42 +218,43 @@ def test_errors_of_the_registration_count_across_the_needle_and_surfaces_move_wi
         assert errors.along == approx(along)
 
 
-def check(scan, layers):
-    return [*check_layers(scan, layers, NEEDLE)]
+def cross(*surfaces):
+    return find_crossed_layers(NEEDLE, HOME, surfaces, EXACT)
 
 
-def test_surfaces_that_are_not_crossed_are_named():
-    at = make_sheet("s11.5", (11.5, 0, 0), (1, 0, 0), 60, into=2)
-    aside = make_sheet("aside", (20, 200, 0), (1, 0, 0), 60, into=3)
-    (warning,) = check(scan(), find_crossed_layers(NEEDLE, HOME, (at, aside), EXACT))
-    assert "aside" in warning and "s11.5" not in warning
-    ahead = make_sheet("ahead", (60, 0, 0), (1, 0, 0), 60, into=3)
-    assert check(scan(), find_crossed_layers(NEEDLE, HOME, (at, ahead), EXACT)) == []
+def sheet_at(*place, size=60, into=2):
+    return make_sheet(f"sheet {place}", place, (1, 0, 0), size, into)
 
 
-def test_layers_counted_must_be_met_and_those_not_crossed_are_reported_with_the_gap():
-    layers = find_crossed_layers(NEEDLE, HOME, (), EXACT)
-    assert layers.sequence == (1,) and len(layers.boundaries) == 0 and layers.points.shape == (0, 3)
-    assert check(scan(layers=1), layers) == []
-    # A sheet of 10 mm about (10, 12, 0) has its rim 7 mm away from the needle.
-    small, beyond = sheet_at(10, 12, 0, size=10), sheet_at(55, 0, 0)
-    for layers, away in ((small, "7.0 mm"), (beyond, "15.0 mm")):
-        (warning,) = check(scan(), layers)
-        assert away in warning
-    layers = find_crossed_layers(NEEDLE, HOME, (tilted(0),), EXACT)
-    assert check(scan(layers=2), layers) == []
-    assert check(scan(layers=3, layers_alternative=2), layers) == []
+def check(crossed, **counted):
+    return [*check_layers(scan(**counted), crossed, NEEDLE)]
+
+
+@pytest.mark.parametrize(
+    ("surfaces", "words"),
+    [
+        ([sheet_at(11.5, 0, 0), sheet_at(60, 0, 0, into=3)], ""),  # ahead
+        ([sheet_at(11.5, 0, 0), sheet_at(20, 200, 0, into=3)], r"cross sheet \(20, 200, 0\) \("),
+        ([sheet_at(10, 12, 0, size=10)], r"\b7\.0 mm"),  # its rim
+        ([sheet_at(55, 0, 0)], r"\b15\.0 mm"),
+    ],
+)
+def test_surfaces_that_are_not_crossed_are_named_with_the_gap(surfaces, words):
+    warnings = check(cross(*surfaces))
+    assert len(warnings) == bool(words) and re.search(words, "".join(warnings))
+
+
+def test_layers_counted_must_be_met():
+    crossed = cross()
+    assert crossed.sequence == (1,) and len(crossed.boundaries) == 0 and crossed.points.shape == (0, 3)
+    assert check(crossed, layers=1) == []
+    crossed = cross(tilted(0))
+    assert check(crossed, layers=2) == check(crossed, layers=3, layers_alternative=2) == []
     with pytest.raises(DataError, match=r"2 layers.*\b10\.00 mm.*\b3\b"):
-        check(scan(layers=3), layers)
-    with pytest.raises(DataError, match=r"\b2 were counted"):
-        check(scan(layers=2), sheet_at(55, 0, 0))
+        check(crossed, layers=3)
 
 
 # ---- doubts
-
-
-def sheet_at(*place, size=60):
-    return find_crossed_layers(NEEDLE, HOME, (make_sheet("skin", place, (1, 0, 0), size, into=2),), EXACT)
 
 
 def drilled(points, end):

@@ -179,7 +179,7 @@ def labels():
 
     volume = labelled(lambda points: 1 + (points[:, 0] > 0), shape=(8, 9, 10))
     return [
-        saved("l.seg.nrrd", save_segments, [volume], [(1, "skin"), (2, "fat")]),
+        saved("l.seg.nrrd", save_segments, volume, [(1, "skin"), (2, "fat")]),
         *(saved(name, save, volume) for name in ("l.nii.gz", "l.nrrd")),
         *corpus("crash-labels-*"),
     ]
