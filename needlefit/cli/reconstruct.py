@@ -291,7 +291,7 @@ def _print_failures(
         failure.scan for failure in failed if failure.asked and failure.scan.id not in failure.scan.answers
     ]:
         command = invocation.repeat("--confirm", name_answer(asked[0], count))
-        screen.print_note(f"needlefit: if answer 1, drawn there, is right: {command}")
+        screen.print_note(f"needlefit: if answer 1 is right, else with its number: {command}")
     if failed and not run:
         screen.print_note(f"needlefit: no scan was reconstructed; the reasons as a table: {out}/refused.csv")
     elif failed and run:

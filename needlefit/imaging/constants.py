@@ -68,7 +68,6 @@ class MM:
     # to the volume's face, or a tip along its course, has left it, and so far behind its bevel its tip is
     # fitted
     EDGE_BLUR = 3.0
-    EDGE_SD = 0.02  # of an edge that no scatter shows: a kernel's sides are not alike [G]
     SHAFT = 5.0  # least length of shaft outside the tissue that shows an axis
     REACH = 80.0  # along the needle to the tissue's surface, or to a hub
     # Of what a scanner shows of an end, which the model does not: of a tip, across it, and of a guide's faces
@@ -124,6 +123,7 @@ class PART:
     TIP_SD = 0.11
     # Of a fitted bevel over that of the stated one: wrong ones 0.85 at most, right ones 0.99 at least
     BEVEL_MISFIT = 0.9
+    EDGE_SD = 0.06  # of an edge's blur, that no scatter shows: a kernel's sides are not alike [G]
     BALL_MISFIT_SD = 0.35  # of its blur, per misfit [R]
     # Of the distance of slices, for a needle in them; of its square over the radius, for a ball [R] [S]
     SLICE_SD = 0.02

@@ -162,14 +162,15 @@ def _list_behind_guides(
         behind = runs[runs.index(after) + 1 :]
         change = next((run for run in behind if run in faces or run.rise <= -HU.METAL_CONTRAST), None)
         face = change if change in faces else None  # not behind a cavity of the tissue
-        # streaks widen steel, and hide its length where air follows
-        longest = 2 * MM.BLUR_REACH if first.level > PART.BRIGHTEST * HU.CLIPPED else MM.MATCH
+        # streaks widen steel, and hide its length where air follows; by more than its length a gap does
+        cut = first.level > PART.BRIGHTEST * HU.CLIPPED
+        longest = min(2 * MM.BLUR_REACH, stated) if cut else MM.MATCH
         if metal and face:
             longest = max(longest, stated)
         if not -MM.MATCH <= excess <= longest:
             continue
         if face:
-            entries.append(EntryCandidate(face.begin, float(np.hypot(face.sd, MM.MODEL_SD)), guide))
+            entries.append(EntryCandidate(face.begin, face.sd, guide))
         elif after.kind == "soft" and (n or thickness is None):
             # the end errs by half of the excess, and by a film of air that hardly shows
             film = after.length / np.sqrt(12) if after.length < MM.MATCH else 0.0

@@ -131,7 +131,7 @@ def _fit_edge(s: Floats, values: Floats, last: float, place: float, following: f
     )
     alike = correlation_factor((values - show(s, *best))[:, None], SAMPLES * len(best))
     sd = min(np.sqrt(covariance[0, 0] * alike), max(MM.STATION, best[1]) / np.sqrt(12))
-    return float(best[0]), float(np.hypot(sd, MM.EDGE_SD))
+    return float(best[0]), float(np.hypot(sd, PART.EDGE_SD * best[1]))
 
 
 def find_faces(runs: Sequence[MaterialRun]) -> list[MaterialRun]:
