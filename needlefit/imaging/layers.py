@@ -4,7 +4,7 @@ Of a segmentation, layer k is drawn as the solid of all labels of layer k and be
 another, so that no gap opens between neighbours, and, listed in order, the last one that holds a point is the
 point's layer.
 
-The voxels are averaged in cells of `CELL_MM`, smoothed by a normal distribution of `SMOOTHING_SD_MM`, and the
+The voxels are averaged in cells of two, smoothed by a normal distribution of `SMOOTHING_SD_MM`, and the
 average is turned into a distance along which marching cubes may interpolate: beside a plane it is the normal
 distribution function of the distance. A plane stays where it was; a right-angled edge loses about 0.5 mm.
 """
@@ -42,11 +42,6 @@ from needlefit.imaging.volume import VoxelGrid, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 SMOOTHING_SD_MM = 0.6  # SD of the smoothing (mm); one voxel where voxels are larger
-# edge (mm) of the cells that marching cubes goes through, as near as whole voxels come to it
-CELL_MM = 2 * SMOOTHING_SD_MM
-# smallest distance of a boundary from the centre of a cell that a voxel grid shows, in standard deviations of
-# the smoothing: nearer, triangles would be smaller than a file's digits and fall together
-MIN_CORNER_DISTANCE_SD = MM.GRID_SD / SMOOTHING_SD_MM
 
 
 def extract_label_surfaces(path: Path) -> tuple[Surface, ...]:
@@ -72,7 +67,7 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
     from skimage.measure import block_reduce, marching_cubes  # slow to load
 
     spacing = labels.volume.spacing[::-1]
-    block = np.maximum(np.rint(CELL_MM / spacing), 1).astype(np.int64)
+    block = np.maximum(np.rint(2 * SMOOTHING_SD_MM / spacing), 1).astype(np.int64)
     # one cell around the labels: what leaves the volume is closed there
     cells = block_reduce(np.pad(mask, block[:, None]), tuple(block.tolist()), np.mean)
     width = np.maximum(SMOOTHING_SD_MM, spacing) / (block * spacing)
@@ -80,7 +75,9 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
     # inverse of the smoothing of a plane; 0 and 1 would become infinite
     least = np.finfo(average.dtype).eps
     distance = ndtri(np.clip(average, least, 1 - least))
-    distance[np.abs(distance) < MIN_CORNER_DISTANCE_SD] = MIN_CORNER_DISTANCE_SD
+    # a boundary nearer to a corner would make triangles smaller than a file's digits, which fall together
+    nearest = MM.GRID_SD / SMOOTHING_SD_MM
+    distance[np.abs(distance) < nearest] = nearest
     vertices, faces, _, _ = marching_cubes(distance, 0.0)
     # a cell's centre lies (block - 1) / 2 voxels after its first voxel; the padding comes off
     kji = (vertices - 1) * block + (block - 1) / 2 + low

@@ -73,7 +73,12 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
             continue
         tried.append(blob.middle)
         ball = fit_sphere(volume, blob, radius)
-        if _is_whole(volume, ball, blob.middle, recipe.markers.max_misfit):
+        if (
+            ball.spread.blur < 0.99 * SCANNER.BLUR.range[1]  # at this bound the fit did not find a ball
+            and ball.misfit <= np.hypot(recipe.markers.max_misfit, SD.OUTLIER * ball.noise)
+            and np.linalg.norm(ball.center - blob.middle) < radius
+            and measure_face_distance(volume, ball.center[None]) >= radius
+        ):
             tried.append(ball.center)
             balls.append(ball)
     return MarkerResult(
@@ -132,15 +137,3 @@ def refine_fiducials(
     mark, ball = pairs[:, apart[tuple(pairs)] <= reach]
     centers[mark], sd[mark] = balls.centers[ball], balls.sd[ball]
     return replace(balls, centers=centers, sd=sd, source="fiducials")
-
-
-def _is_whole(volume: Volume, ball: SphereFit, middle: Floats, max_misfit: float) -> bool:
-    """Return whether a fit, begun at `middle`, shows a ball, and the whole of it.
-
-    `max_misfit`: what the recipe allows; beside it stands what the noise around the ball leaves.
-    """
-    within = measure_face_distance(volume, ball.center[None]) >= ball.radius
-    # a blur at its upper bound means that the fit did not find a ball
-    explained = ball.spread.blur < 0.99 * SCANNER.BLUR.range[1]
-    alike = ball.misfit <= np.hypot(max_misfit, SD.OUTLIER * ball.noise)
-    return bool(within and explained and alike and np.linalg.norm(ball.center - middle) < ball.radius)

@@ -90,11 +90,10 @@ class SphereFit:
     """A fitted ball."""
 
     center: Floats  # (3,); LPS, mm
-    radius: float  # mm
     sd: float  # deviation in any one direction, mm
     spread: PointSpread  # with which it is blurred
-    # Root mean square of what the fit leaves in and at the ball, and the deviation of the noise around it, in
-    # parts of the ball's height as shown.
+    # Root mean square of what the fit leaves in and at the ball, and the deviation of the noise, in parts of
+    # the ball's height as shown.
     misfit: float
     noise: float
 
@@ -129,8 +128,7 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     spread = read_spread(theta[SPREAD])
     height = _find_height(near, theta)
     inside = np.linalg.norm(near.places - theta[CENTER], axis=1) < radius + near.spacing.max()
-    left = residuals[inside] if inside.any() else residuals
-    misfit = float(np.sqrt(np.mean(left**2))) / height
+    misfit = float(np.linalg.norm(residuals[inside]) / np.sqrt(inside.sum() or 1)) / height
     # thick slices average rays before the logarithm
     systematic = np.hypot(
         PART.SLICE_SD * near.spacing[2] ** 2 / radius, PART.BALL_MISFIT_SD * misfit * spread.blur
@@ -138,11 +136,10 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     formal = float(np.sqrt(np.trace(covariance[CENTER, CENTER]) / 3))
     return SphereFit(
         center=blob.middle + near.axes @ theta[CENTER],
-        radius=radius,
         sd=float(np.linalg.norm([formal, systematic, MM.GRID_SD])),
         spread=spread,
         misfit=misfit,
-        noise=robust_sd(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
+        noise=robust_sd(residuals) / height,
     )
 
 
