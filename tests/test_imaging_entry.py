@@ -99,59 +99,60 @@ def test_stage_and_shaft_are_compared_across_the_axis_and_refused_where_they_dif
 
 S = np.arange(-60.0, 48.0, 0.5)
 TIP = 40.0
-PLATE = ((-19.0, -1000.0, 110.0), (-11.0, 110.0, -1000.0))
-FACE = ((0.0, -1000.0, 35.0),)
 
 
-def profile(*edges, width=0.5, noise=3.0, seed=1, s=S):
-    """A profile with edges (mm, HU before, HU behind) of a needle that ends at `TIP`."""
-    around = np.full(len(s), edges[0][1])
-    for at, before, behind in edges:
-        around = around + (behind - before) * ndtr((s - at) / width)
-    around += noise * np.random.default_rng(seed).normal(size=len(s))
-    return IntensityProfile(s, around)
+def profile(*edges, width=0.5, noise=3.0, seed=1, s=S, start=-1000.0):
+    """Brightness that changes at edges (mm, HU behind); it begins with air."""
+    around = np.full(len(s), start)
+    for at, behind in edges:
+        around, start = around + (behind - start) * ndtr((s - at) / width), behind
+    return IntensityProfile(s, around + noise * np.random.default_rng(seed).normal(size=len(s)))
+
+
+def plate(begin, end, level):
+    """Edges of a plate in air before tissue that begins at 0."""
+    return (begin, level), (end, -1000.0), (0.0, 35.0)
 
 
 def choose(shown, thickness=None, distance=None):
     return choose_entry(list_materials(shown, TIP), TIP, thickness, distance)
 
 
+def assert_chosen(entry, at, guide=None, atol=0.1, guide_atol=None):
+    assert entry.doubt is None
+    assert_allclose(entry.at, at, atol=atol)
+    if guide is not None:
+        assert_allclose(entry.guide, guide, atol=guide_atol or atol)
+
+
 def test_a_plate_is_passed_by_its_stated_thickness_and_asked_for_where_it_is_not_stated():
     for gap in [2.0, 3.0, 6.0, 11.0]:
-        shown = profile((-8.0 - gap, -1000.0, 110.0), (-gap, 110.0, -1000.0), *FACE, width=0.7)
-        entry = choose(shown, thickness=8.0)
-        assert abs(entry.at) < 0.15
-        assert abs(entry.at) < 3 * entry.sd
-        assert entry.doubt is None
-    shown = profile(*PLATE, *FACE)
+        entry = choose(profile(*plate(-8.0 - gap, -gap, 110.0), width=0.7), thickness=8.0)
+        assert_chosen(entry, 0.0, atol=min(0.15, 3 * entry.sd))
+    shown = profile(*plate(-19.0, -11.0, 110.0))
     for thickness in (None, 14.0):
         entry = choose(shown, thickness=thickness)
         assert entry.doubt.where == "guide.thickness_mm"
-        assert "59.0" in entry.doubt.what and "40.0" in entry.doubt.what
-        assert_allclose(entry.at, 0.0, atol=0.1)  # the last, as tissue holds the tip
-    entry = choose(shown, thickness=0.0)
-    assert_allclose(entry.at, -19.0, atol=0.1)
-    assert entry.doubt is None
+        assert_allclose([one.at for one in entry.answers], [0.0, -19.0], atol=0.1)
+        assert "1: 40.0" in entry.doubt.what and "2: 59.0" in entry.doubt.what
+    assert_chosen(choose(shown, thickness=0.0), -19.0)
 
 
 @pytest.mark.parametrize(
     ("level", "is_tissue"), [(-120, True), (80, True), (-200, False), (120, False), (360, False)]
 )
 def test_a_first_material_unlike_tissue_may_be_a_guide_that_lies_on_it(level, is_tissue):
-    shown = profile((-12.0, -1000.0, level), (0.0, level, 0.0))
+    shown = profile((-12.0, level), (0.0, 0.0))
     entry = choose(shown)
     assert_allclose(entry.at, -12.0, atol=0.1)
     assert (entry.doubt is None) == is_tissue
-    behind = choose(shown, thickness=12.0)
-    assert_allclose(behind.at, 0.0, atol=0.1)
-    assert behind.doubt is None  # it changes by 50 HU or more there
+    assert_chosen(choose(shown, thickness=12.0), 0.0)  # it changes by 50 HU or more there
 
 
 @pytest.mark.parametrize("film", [0.0, 0.03])
 def test_the_end_of_a_guide_that_is_not_stated_is_as_uncertain_as_a_film_of_air_leaves_it(film):
-    edges = (-6.0, -1000.0, 120.0), (-film, 120.0, -1000.0), (0.0, -1000.0, 20.0)
     for shift in np.linspace(0.0, 0.5, 5):
-        shown = profile(*((at + shift, *levels) for at, *levels in edges), width=0.4)
+        shown = profile((shift - 6.0, 120.0), (shift - film, -1000.0), (shift, 20.0), width=0.4)
         entry, behind = choose(shown).answers
         assert_allclose([entry.at, behind.guide[0]], shift - 6.0, atol=0.1)
         assert abs(behind.at - shift) < 3 * behind.sd and 0.15 < behind.sd < 0.2
@@ -161,42 +162,35 @@ def test_the_end_of_a_guide_that_is_not_stated_is_as_uncertain_as_a_film_of_air_
 @pytest.mark.parametrize("level", [360.0, 900.0])
 def test_a_plate_on_the_tissue_ends_after_its_thickness_and_what_is_stated_of_the_gap(level, dip):
     # a film of air, of which blur leaves a dip, moves the change of brightness
-    flush = profile((-8.0, -1000.0, level), (0.0, level, dip), (0.5, dip, 35.0), (13.0, 35.0, -5.0))
-    face = choose(flush, thickness=0.0)
+    flush = profile((-8.0, level), (0.0, dip), (0.5, 35.0), (13.0, -5.0))
     entry = choose(flush, thickness=8.0)
-    assert entry.doubt is None
-    assert_allclose((entry.at, *entry.guide), (face.at + 8.0, face.at, face.at + 8.0), atol=1e-9)
-    assert_allclose(entry.at, 0.0, atol=0.05)
+    assert_chosen(entry, 0.0, (-8.0, 0.0), atol=0.05)
     assert entry.sd > (0.2 if dip else 0.05)  # what is darker than both may be a film
-    entry = choose(flush, thickness=8.0, distance=0.5)
-    assert_allclose((entry.at, *entry.guide), (0.5, -8.0, 0.0), atol=0.05)
-    cavity = profile((-8.0, -1000.0, level), (0.0, level, 35.0), (15.0, 35.0, -1000.0), (20.0, -1000.0, 35.0))
-    assert_allclose(choose(cavity, thickness=8.0).at, 0.0, atol=0.05)
+    assert_chosen(choose(flush, thickness=8.0, distance=0.5), 0.5, (-8.0, 0.0), atol=0.05)
+    cavity = profile((-8.0, level), (0.0, 35.0), (15.0, -1000.0), (20.0, 35.0))
+    assert_chosen(choose(cavity, thickness=8.0), 0.0, atol=0.05)
 
 
 @pytest.mark.parametrize("shift", np.linspace(0.0, 0.5, 5))
 def test_air_as_long_as_two_stations_is_a_gap_wherever_they_stand(shift):
-    edges = (-13.0, -1000.0, 900.0), (-1.0, 900.0, -1000.0), (0.0, -1000.0, 0.0)
     stations = S * 0.9996  # as of a curve that is not a whole number of stations long
-    shown = profile(*((at + shift, *levels) for at, *levels in edges), s=stations)
-    entry = choose(shown, thickness=12.0)
-    assert_allclose(entry.at, shift, atol=0.15)
-    assert entry.doubt is None
+    shown = profile((shift - 13.0, 900.0), (shift - 1.0, -1000.0), (shift, 0.0), s=stations)
+    assert_chosen(choose(shown, thickness=12.0), shift, atol=0.15)
 
 
 @pytest.mark.parametrize(
-    "shown",
+    "edges",
     [
-        profile(*FACE),  # no guide, or one that looks as the tissue does
-        profile(*FACE, (13.0, 35.0, -5.0)),
-        profile((-8.0, -1000.0, 110.0), (0.0, 110.0, 35.0)),  # one of another thickness
-        profile(*FACE, (6.2, 35.0, -5.0)),  # a layer that ends there
-        profile((-30.0, -1000.0, 950.0), (-27.0, 950.0, -1000.0), *FACE),
+        ((0.0, 35.0),),  # no guide, or one that looks as the tissue does
+        ((0.0, 35.0), (13.0, -5.0)),
+        ((-8.0, 110.0), (0.0, 35.0)),  # one of another thickness
+        ((0.0, 35.0), (6.2, -5.0)),  # a layer that ends there
+        plate(-30.0, -27.0, 950.0),
     ],
 )
 @pytest.mark.parametrize("thickness", [6.0, 60.0])
-def test_a_stated_guide_that_the_scan_does_not_show_is_named(shown, thickness):
-    doubt = choose(shown, thickness=thickness).doubt
+def test_a_stated_guide_that_the_scan_does_not_show_is_named(edges, thickness):
+    doubt = choose(profile(*edges), thickness=thickness).doubt
     assert doubt.where == "guide.thickness_mm" and f"{thickness:g} mm" in doubt.what
     assert "40.0" in doubt.what or "48.0" in doubt.what
 
@@ -205,36 +199,30 @@ def test_a_stated_guide_that_the_scan_does_not_show_is_named(shown, thickness):
 @pytest.mark.parametrize("thickness", [3.0, 8.0, 12.0])
 def test_a_guide_of_any_material_is_passed(level, thickness):
     for gap in [2.0, 6.0, 11.0]:
-        plate = ((-gap - thickness, -1000.0, level), (-gap, level, -1000.0))
-        entry = choose(profile(*plate, *FACE), thickness=thickness)
-        assert_allclose(entry.at, 0.0, atol=0.2)
-        assert_allclose(entry.guide, (-gap - thickness, -gap), atol=1.0)
+        faces = -gap - thickness, -gap
+        entry = choose(profile(*plate(*faces, level)), thickness=thickness)
+        assert_chosen(entry, 0.0, faces, atol=0.2, guide_atol=1.0)
 
 
-def test_a_thin_plate_on_the_tissue_is_passed_if_it_is_unlike_it():
-    for level, is_plate in ((110.0, True), (-70.0, False), (35.0, False)):
-        entry = choose(profile((-2.0, -1000.0, level), (0.0, level, 35.0), width=0.4), thickness=2.0)
-        assert_allclose(entry.at, 0.0, atol=0.1)
-        assert (entry.doubt is None) == is_plate
+@pytest.mark.parametrize(("level", "is_plate"), [(110.0, True), (-70.0, False), (35.0, False)])
+def test_a_thin_plate_on_the_tissue_is_passed_if_it_is_unlike_it(level, is_plate):
+    entry = choose(profile((-2.0, level), (0.0, 35.0), width=0.4), thickness=2.0)
+    assert_allclose(entry.at, 0.0, atol=0.1)
+    assert (entry.doubt is None) == is_plate
 
 
 def test_a_guide_that_the_volume_cuts_and_that_lies_on_the_tissue_leaves_no_entry():
-    assert choose(profile((0.0, 900.0, 35.0), s=S[S > -5.0]), thickness=12.0) is None
+    assert choose(profile((0.0, 35.0), s=S[S > -5.0], start=900.0), thickness=12.0) is None
 
 
-def test_metal_on_the_tissue_is_passed_and_places_to_choose_from_are_numbered():
-    plate = ((-8.0, -1000.0, 2500.0), (0.0, 2500.0, 35.0))
-    entry = choose(profile(*plate), thickness=8.0)
-    assert entry.doubt is None
-    assert_allclose((entry.at, *entry.guide), (0.0, -8.0, 0.0), atol=0.2)
-    for shown in (profile(*plate), profile(*plate, s=S[S > -7.0])):  # the volume begins in it
-        entry = choose(shown, thickness=3.0)
-        assert_allclose([one.at for one in entry.answers], [0.0], atol=0.5)
-    bright = ((-15.9, -1000.0, 3071.0), (-2.0, 3071.0, -1000.0))  # looks 1.9 mm longer than it is
-    assert_allclose(choose(profile(*bright, *FACE), thickness=12.0).at, 0.0, atol=0.2)
-    entry = choose(profile((-12.0, -1000.0, 75.0), (0.0, 75.0, 35.0)), thickness=12.0)
-    assert_allclose([one.at for one in entry.answers], [0.0, -12.0], atol=0.1)
-    assert "1: 40.0" in entry.doubt.what and "2: 52.0" in entry.doubt.what
+def test_metal_on_the_tissue_is_passed_by_the_thickness_that_it_has():
+    edges = (-8.0, 2500.0), (0.0, 35.0)
+    assert_chosen(choose(profile(*edges), thickness=8.0), 0.0, (-8.0, 0.0), atol=0.2)
+    for stations in (S, S[S > -7.0]):  # the volume begins in it
+        (answer,) = choose(profile(*edges, s=stations), thickness=3.0).answers
+        assert_allclose(answer.at, 0.0, atol=0.5)
+    bright = profile(*plate(-15.9, -2.0, 3071.0))  # looks 1.9 mm longer than it is
+    assert_chosen(choose(bright, thickness=12.0), 0.0, atol=0.2)
 
 
 @pytest.mark.parametrize("top", [3071.0, 12_000.0])
@@ -244,32 +232,21 @@ def test_metal_is_passed_by_the_middle_of_its_brightest_part_though_streaks_go_o
     tissue = 900.0 * (S >= 0.0) if gap else 0.0  # in the streaks air behind metal is but a dip
     around = np.minimum(12_000.0 * np.exp(-away) + np.where(S < 0, -200.0, 35.0) + tissue, top)
     entry = choose(IntensityProfile(S, around), thickness=6.0)
-    assert entry.doubt is None
-    assert_allclose((entry.at, *entry.guide), (0.0, -6.0 - gap, -gap), atol=0.3)
+    assert_chosen(entry, 0.0, (-6.0 - gap, -gap), atol=0.3)
 
 
 # ---- by the tissue's own surface, unless the scan itself shows another place
 
-FACE_MM = cases.ENTRY[2]
-"""Where the scan's tissue begins, along S, mm."""
-
-
-def scan(folder, mesh):
-    write_volume(cases.scan(cases.axis(curve=(0.0, 3.0))), folder / "small.nrrd")
-    own = LayerSource(save_mesh(folder / "own.stl", mesh), into=1)
-    return Scan("small", folder / "small.nrrd", "box", surfaces=(own,), surfaces_in="scan")
-
-
-def face(at):
-    return make_sheet("own", (11.0, 11.0, at), (0, 0, 1), 20.0, into=1).to_trimesh()
-
 
 @pytest.mark.sweep
 def test_a_surface_far_from_where_tissue_is_seen_is_refused(tmp_path):
-    (one,) = reconstruct_needles(scan(tmp_path, face(FACE_MM + 8.0)), cases.RECIPE)
-    assert (
-        re.search(r"begins [78]\.\d\d .* own surface", one.error.what) and "state the stage" in one.error.fix
-    )
+    write_volume(cases.scan(cases.axis(curve=(0.0, 3.0))), tmp_path / "small.nrrd")
+    mesh = make_sheet("own", (11.0, 11.0, cases.ENTRY[2] + 8.0), (0, 0, 1), 20.0, into=1).to_trimesh()
+    own = LayerSource(save_mesh(tmp_path / "own.stl", mesh), into=1)
+    scan = Scan("small", tmp_path / "small.nrrd", "box", surfaces=(own,), surfaces_in="scan")
+    (one,) = reconstruct_needles(scan, cases.RECIPE)
+    assert re.search(r"begins [78]\.\d\d .* own surface", one.error.what)
+    assert "state the stage" in one.error.fix
 
 
 @pytest.mark.sweep

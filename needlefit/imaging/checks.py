@@ -132,7 +132,8 @@ def _list_entry_warnings(result: Reconstruction) -> Iterator[str]:
 def _list_plane_warnings(result: Reconstruction) -> Iterator[str]:
     scan, needle, (forward, across, _) = result.scan, result.needle_axis, result.frame.rotation.T
     deflection = float(result.local[-1, 1])
-    error = float(np.hypot(result.sd[-1], result.pose.sd_at(result.depth)))
+    pose_sd = np.hypot(result.pose.shift_sd, result.pose.angle_sd * result.depth)
+    error = float(np.hypot(result.sd[-1], pose_sd))
     if scan.bevel is None and abs(deflection) < SD.DISAGREEMENT * error:
         yield (
             f"the tip lies {abs(deflection):.2f} ± {error:.2f} mm beside the entry axis: so straight, "

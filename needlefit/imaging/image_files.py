@@ -12,18 +12,15 @@ from typing import Any
 import nibabel
 import numpy as np
 import SimpleITK as sitk
-from nibabel.filebasedimages import ImageFileError
-from nibabel.spatialimages import HeaderDataError
 from numpy.typing import NDArray
 
-from needlefit.errors import DataError, located
+from needlefit.errors import DataError, NeedlefitError, located
 from needlefit.geometry.frames import RAS_TO_LPS
 from needlefit.imaging.volume import READABLE_VOLUMES, VoxelGrid, check_grid, fill_unknown
 from needlefit.imaging.volume_files import MAX_HEADER_BYTES, list_series_files
 from needlefit.project.reader_process import Arrays, Planes, allow_memory
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
-READER_ERRORS = (ImageFileError, HeaderDataError, ValueError, AssertionError, RuntimeError, OSError, EOFError)
 # What reads a file's voxels (K, J, I), its grid, the bytes of a voxel, and texts of its header by their keys.
 Image = tuple[Callable[[], NDArray[Any]], VoxelGrid, int, dict[str, str]]
 
@@ -45,7 +42,9 @@ def read_image(arrays: Arrays, path: str, labels: bool = False) -> dict[str, Any
             # voxels packed, a buffer, and an array of them or of single precision
             allow_memory(math.prod(grid.size) * (3 * voxel_bytes + 8))
             values = read()
-        except READER_ERRORS as error:
+        except (NeedlefitError, MemoryError):
+            raise
+        except Exception as error:  # SimpleITK and nibabel raise what the bytes provoke
             raise DataError(
                 f"cannot be read as a volume, or its voxels are not all there: {_last_line(error)}",
                 expected=f"three dimensions, one number a voxel; {READABLE_VOLUMES}",

@@ -44,10 +44,6 @@ class EntryPose:
     angle_sd: float
     along_sd: float  # deviation of `origin` along the needle, mm
 
-    def sd_at(self, depth: float) -> float:
-        """Return the deviation of the axis at a depth, in any one direction across, mm."""
-        return float(np.hypot(self.shift_sd, self.angle_sd * depth))
-
 
 @dataclass(frozen=True, eq=False)  # what is found in it is kept by its identity
 class IntensityProfile:
