@@ -1,6 +1,5 @@
 """Reconstructions become a dataset: what they share, what each has for itself, what is left out."""
 
-import json
 import re
 from dataclasses import replace
 from functools import cache
@@ -17,10 +16,8 @@ from needlefit.geometry.surfaces import transform_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked, assemble_dataset
 from needlefit.imaging.batch import reconstruct_all
 from needlefit.imaging.checks import collect_warnings
-from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import read_scans
 from needlefit.project.locate import shipped_folder
-from needlefit.project.stored_values import decode, encode
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 RECIPE = ReconstructionRecord(schema=1)
@@ -51,14 +48,6 @@ def named(name, medium="phantom2", surfaces=("interface1",), behind=0.0, **chang
 
 def list_layers(folder):
     return sorted(file.name for file in (folder / "layers").iterdir())
-
-
-@pytest.mark.sweep
-def test_a_stored_reconstruction_is_read_to_the_last_bit():
-    text = json.dumps(encode([small()]))
-    (again,) = decode(json.loads(text), tuple[Reconstruction, ...])
-    assert json.dumps(encode([again])) == text
-    assert again.needle_axis.points.tobytes() == small().needle_axis.points.tobytes()
 
 
 @pytest.mark.sweep

@@ -100,18 +100,6 @@ def test_a_needle_whose_ends_lie_in_tissue_is_placed_as_its_refusal_offers(tmp_p
     assert one.depth == approx(20.0, abs=0.3) and "axis" in one.warnings[0]
 
 
-def test_a_file_in_ras_is_turned_and_one_without_a_system_refused(file):
-    def turn(one, points):
-        one["coordinateSystem"] = "RAS"
-        for point in points.values():
-            point["position"] = (np.array(point["position"]) * [-1, -1, 1]).tolist()
-
-    found = moved(change(file, turn), "tip", by=(-1, 0, 0))
-    assert_allclose(found.tip, NEEDLE[-1] + [1, 0, 0], atol=1e-3)
-    change(file, lambda one, _: one.pop("coordinateSystem"))
-    assert "coordinateSystem" in refusal(DataError, "", read_corrections, file).what
-
-
 @pytest.mark.parametrize(
     ("edit", "word"),
     [
