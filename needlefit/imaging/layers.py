@@ -78,18 +78,21 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
     # a boundary nearer to a corner would make triangles smaller than a file's digits, which fall together
     nearest = MM.GRID_SD / SMOOTHING_SD_MM
     distance[np.abs(distance) < nearest] = nearest
+    if distance.max() < 0:
+        raise DataError(
+            f"layer {layer}, with those beyond it, is less than {2 * SMOOTHING_SD_MM} mm thick",
+            expected="layers that the smoothing leaves",
+            fix="join it to its neighbour in 3D Slicer, or remove it",
+        )
     vertices, faces, _, _ = marching_cubes(distance, 0.0)
     # a cell's centre lies (block - 1) / 2 voxels after its first voxel; the padding comes off
     kji = (vertices - 1) * block + (block - 1) / 2 + low
     points = to_patient(labels.volume, kji[:, ::-1])
-    name, last = [*labels.names.values()][layer - 1], layer == len(labels.names)
-    surface, loose = extract_solid(
-        make_id(f"layer {layer} {name}".strip(), ""), points, faces.astype(np.int64), layer
-    )
-    place = f"layer {layer}{f' ({name})' if name else ''}" + " and those beyond" * (not last)
+    name = make_id(f"layer {layer} {[*labels.names.values()][layer - 1]}".strip(), "")
+    surface, loose = extract_solid(name, points, faces.astype(np.int64), layer)
     if loose > PART.LOOSE:
         raise DataError(
-            f"{place} fall{'s' * last} apart: islands or cavities of {100 * loose:.0f} "
+            f"{name} and the layers beyond it fall apart: islands or cavities of {100 * loose:.0f} "
             "% of the largest piece",
             expected="layers in one piece, one within or behind the other, in the order of the segments",
             fix="label bubbles and the needle as the tissue around them, remove islands, sort the segments",
