@@ -15,14 +15,13 @@ from needlefit.arrays import Floats
 from needlefit.datasets.formats.markups import Markups, read_markups
 from needlefit.errors import DataError, located
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.imaging.constants import MM
 from needlefit.imaging.reconstruction import MarkerResult, Reconstruction
 from needlefit.imaging.scans import Corrections, Scan
 
 LIST_NAME = "corrections"  # name of a list of control points, after the id of its scan
 AXIS_POINTS = 8  # number of control points on the needle, at even distances
 KINDS = ("axis", "tip", "entry", "ball")
-# distance (mm) of a control point from its place in the result below which it was not moved
-MIN_MOVE_MM = 0.01
 _LABEL = re.compile(rf"({'|'.join(KINDS)})( *\d+)?", re.IGNORECASE)
 _PLACE = ", ".join(3 * [r"(-?\d+\.\d+)"])
 # the number of balls: one that was removed is missed by the others
@@ -96,7 +95,7 @@ def _parse_corrections(markups: Markups) -> Corrections:
     kinds = np.array([label[1].lower() for label in labels if label])
     stated = [_FOUND.search(text) for text in markups.descriptions]
     found = np.array([match.groups("nan") if match else 4 * ("nan",) for match in stated], dtype=np.float64)
-    moved = ~(np.linalg.norm(markups.points - found[:, :3], axis=1) <= MIN_MOVE_MM)  # what was added, too
+    moved = ~(np.linalg.norm(markups.points - found[:, :3], axis=1) <= MM.GRID_SD)  # what was added, too
     places = {kind: markups.points[(kinds == kind) & moved] for kind in KINDS}
     for kind in ("tip", "entry"):
         if len(places[kind]) > 1:

@@ -194,7 +194,7 @@ def _fit_model(near: SphereVoxels) -> tuple[Floats, Floats, Floats]:
             args=(noise,),
         )
 
-    noise, count = PART.FIRST_NOISE * _find_height(near, theta), len(near.values)
+    noise, count = PART.SIGNAL_ERROR * _find_height(near, theta), len(near.values)
     best = fit(theta, noise)
     alike = max(1.0, MM.BLUR_CORE**3 / float(np.prod(near.spacing)))
     noise = max(1.0, noise * robust_sd(best.fun[:count])) * np.sqrt(alike)
