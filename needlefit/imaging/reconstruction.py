@@ -89,9 +89,9 @@ class EntryCandidate:
 
 @dataclass(frozen=True)
 class ScanView:
-    """An image of the scan along two axes of the constraint frame."""
+    """An image of the scan along two axes of the constraint frame, of which x runs to the right."""
 
-    axes: tuple[str, str]  # what runs to the right and upwards: "x", "y" or "z" of C
+    up: int  # the axis of C that runs upwards: 1, y, or 2, z
     # (H, W); mean over a thin slab, HU; nan outside the volume. Row 0 is the lowest. Along the third axis the
     # slab follows the needle, so that a bent one stays in the picture.
     values: Floats
@@ -227,7 +227,7 @@ def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike
         points = np.stack([x, sides[1], sides[2]], axis=-1)
         mean = sample(volume, patient.to_local(frame.to_world(points))).mean(axis=2)
         extent = columns[0], columns[-1], rows[0], rows[-1]
-        views.append(ScanView(("x", "xyz"[up]), mean, extent))
+        views.append(ScanView(up, mean, extent))
     return tuple(views)
 
 

@@ -118,7 +118,7 @@ def paint_needle_section(reconstruction: Reconstruction) -> Figure:
 
     def overlay(axes: Axes, view: ScanView, span: Span) -> None:
         draw_reconstruction(axes, view, reconstruction, span)
-        axes.set_ylabel(f"{view.axes[1]} in C\n(mm)")
+        axes.set_ylabel(f"{'xyz'[view.up]} in C\n(mm)")
 
     plots = [
         partial(paint, reconstruction=reconstruction) for paint in (_paint_deflection, _paint_brightness)
@@ -131,7 +131,7 @@ def paint_refusal(picture: CurvePicture) -> Figure:
     """Draw the scan in two directions across a curve, and the curve, x along it."""
 
     def overlay(axes: Axes, view: ScanView, _span: Span) -> None:
-        axes.plot(*picture.curve[:, [0, "xyz".index(view.axes[1])]].T, color=NEEDLE_COLOUR, lw=0.6)
+        axes.plot(*picture.curve[:, [0, view.up]].T, color=NEEDLE_COLOUR, lw=0.6)
         axes.set_ylabel("across (mm)")
 
     marks = [(x, 0.0, ENTRY_COLOUR, f"{n}") for n, x in enumerate(picture.entries.tolist(), start=1)]
@@ -193,7 +193,7 @@ def choose_spans(pictures: Sequence[ScanView], needle: Floats, room: float) -> l
     centres, reaches = [], []
     for view in pictures:
         left, right, bottom, top = view.extent
-        part = needle[(needle[:, 0] >= left) & (needle[:, 0] <= right), "xyz".index(view.axes[1])]
+        part = needle[(needle[:, 0] >= left) & (needle[:, 0] <= right), view.up]
         centres.append(float(part.min() + part.max()) / 2)
         reaches.append((top - bottom) / 2)
     share = min(1.0, room / (2 * sum(reaches)))
@@ -315,7 +315,7 @@ def draw_reconstruction(
     for surface in reconstruction.layers.surfaces:
         dots = outline_surface(view, reconstruction, surface, span)
         axes.plot(*dots.T, ".", color=LAYER_COLOUR, ms=1.9, mew=0, zorder=3)
-    up = "xyz".index(view.axes[1])
+    up = view.up
     whole, inserted = join_needle(reconstruction), reconstruction.local
     crossed = reconstruction.frame.to_local(reconstruction.layers.points)
     outside = whole[whole[:, 0] <= 0]
@@ -344,7 +344,7 @@ def outline_surface(
     The sheet follows the needle along its third axis; so it is swept by the needle's course shifted
     sideways, and cuts the surface where those curves do.
     """
-    up = "xyz".index(view.axes[1])
+    up = view.up
     needle = join_needle(reconstruction)
     x = np.arange(max(0.0, view.extent[0]), view.extent[1], 2.0)
     course = np.column_stack([x, *(np.interp(x, needle[:, 0], side) for side in needle.T[1:])])
