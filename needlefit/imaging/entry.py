@@ -119,12 +119,11 @@ def choose_entry(
         f"{n}: {tip - answer.at:.1f} mm before the tip, {'behind a' if answer.guide else 'no'} guide"
         for n, answer in enumerate(answers, start=1)
     )
+    low, high = HU.SOFT_TISSUE
     error = DataError(
         f"{doubt}: where does the tissue begin? {listed}",
-        expected="one change from air to soft tissue ({:g} to {:g} HU), or one solid of ".format(
-            *HU.SOFT_TISSUE
-        )
-        + "guide.thickness_mm before the tissue, followed by air or another material",
+        expected=f"one change from air to soft tissue ({low:g} to {high:g} HU), or one solid of "
+        "guide.thickness_mm before the tissue, followed by air or another material",
         fix="look at its picture in quality/ and give the number of the right answer (--confirm entry=1); or "
         "state or correct guide.thickness_mm in the recipe (mm; 0: there is no guide, and the first is the "
         "tissue); or place the entry (--corrections)",

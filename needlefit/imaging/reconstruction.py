@@ -45,7 +45,7 @@ class EntryPose:
     along_sd: float  # deviation of `origin` along the needle, mm
 
 
-@dataclass(frozen=True, eq=False)  # what is found in it is kept by its identity
+@dataclass(frozen=True)
 class IntensityProfile:
     """The brightness around the needle, along it."""
 
