@@ -82,6 +82,9 @@ def metaimage(path, **fields):
     return path
 
 
+NAMES = {nrrd: "a.nrrd", nifti: "a.nii", metaimage: "a.mha"}
+
+
 def volume_of(values, direction=None, origin=CORNER, spacing=STEPS):
     direction = np.eye(3) if direction is None else direction
     return Volume(np.asarray(values, np.float32), np.array(origin), np.array(spacing), direction)
@@ -212,12 +215,11 @@ LEAN = 0.9 * np.tan(np.radians(12.0))  # of the third axis; NIfTI states the dis
 
 
 @pytest.mark.parametrize(
-    ("write", "name", "signs", "fields"),
+    ("write", "signs", "fields"),
     [
-        (nrrd, "a.nrrd", (1, 1, 1), {"space_directions": f"(0.4,0,0) (0,0.5,0) (0,{LEAN},0.9)"}),
+        (nrrd, (1, 1, 1), {"space_directions": f"(0.4,0,0) (0,0.5,0) (0,{LEAN},0.9)"}),
         (
             nifti,
-            "a.nii",
             (-1, -1, 1),
             {
                 "affine": PLAIN + np.eye(4)[1][:, None] * [0, 0, LEAN, 0],
@@ -226,8 +228,8 @@ LEAN = 0.9 * np.tan(np.radians(12.0))  # of the third axis; NIfTI states the dis
         ),
     ],
 )
-def test_slices_of_a_tilted_gantry_stand_where_their_affine_says(tmp_path, write, name, signs, fields):
-    volume = read_volume(write(tmp_path / name, **fields))
+def test_slices_of_a_tilted_gantry_stand_where_their_affine_says(tmp_path, write, signs, fields):
+    volume = read_volume(write(tmp_path / NAMES[write], **fields))
     assert to_patient(volume, [[2, 1, 1]])[0] == approx(signs * np.array([1.8, 2.5 + LEAN, 3.9]), abs=1e-5)
     assert to_index(volume, to_patient(volume, [[2.5, 1.25, 0.75]]))[0] == approx([2.5, 1.25, 0.75])
     assert volume.grid.slice_distance == approx(0.9, abs=1e-6)
@@ -257,15 +259,20 @@ def noise(level):
     return np.random.default_rng(3).normal(level, 40.0, (8, 40, 40))
 
 
+def half(level):
+    """Half of the volume is of a level, half is water."""
+    return np.where(HALF, noise(level), noise(40))
+
+
 @pytest.mark.parametrize(
     ("values", "is_doubted"),
     [
-        (np.where(HALF, noise(-1000), noise(40)), False),
-        (np.where(HALF, noise(-1000), noise(40)).clip(-1024), False),
-        (np.where(HALF, noise(-669), noise(70)), True),
-        (np.where(HALF, noise(-450), noise(300)), True),
+        (half(-1000), False),
+        (half(-1000).clip(-1024), False),
+        (half(-669), True),
+        (half(-450), True),
         (np.where(STREAKS, noise(-400), noise(40)), False),  # no air in the field
-        (np.where(STREAKS, noise(-400), np.where(HALF, noise(-120), noise(40))), False),  # fat beside water
+        (np.where(STREAKS, noise(-400), half(-120)), False),  # fat beside water
         (noise(1000), True),  # nothing is as dark as air
     ],
 )
@@ -292,25 +299,25 @@ TIMES = {"space_directions": "(1,0,0) (0,1,0) (0,0,1) none"}
 
 
 @pytest.mark.parametrize(
-    ("make", "name", "arguments", "words"),
+    ("write", "arguments", "words"),
     [
-        (nrrd, "a.nrrd", {"values": VALUES.reshape(2, 2, 3, 2), **TIMES}, SINGLE),
-        (nifti, "a.nii", {"dim": [4, 2, 3, 2, 2, 1, 1, 1]}, SINGLE),
-        (metaimage, "a.mha", FOUR_AXES, SINGLE),
-        (nifti, "a.nii", {"values": VALUES[:1]}, "4 x 3 x 1 voxels"),
-        (nifti, "a.nii", {"unit": "micron"}, "micron"),
-        (nifti, "a.nii", {"affine": PLAIN * [1, 1, 1, np.inf]}, "not finite"),
-        (nrrd, "a.nrrd", {"space": None, "dimension": "3\nspace dimension: 3"}, NOT_STATED),
-        (nrrd, "a.nrrd", {"space": "scanner-xyz"}, "its space is scanner-xyz"),
-        (nifti, "a.nii", {"codes": (0, 0)}, "qform_code and sform_code"),
-        (nrrd, "a.nrrd", {"space_directions": "(0.4,0,0) (0.1,0.5,0) (0,0,0.9)"}, SHEARED),
-        (nifti, "a.nii", {"affine": PLAIN + 0.72 * np.eye(4)[[3, 2, 3, 3]]}, SHEARED),
-        (nrrd, "a.nrrd", {"space_directions": "(0.0004,0,0) (0,0.0005,0) (0,0,0.0009)"}, "spacing"),
-        (metaimage, "a.mha", {"ElementSpacing": "400 500 900"}, "spacing"),
+        (nrrd, {"values": VALUES.reshape(2, 2, 3, 2), **TIMES}, SINGLE),
+        (nifti, {"dim": [4, 2, 3, 2, 2, 1, 1, 1]}, SINGLE),
+        (metaimage, FOUR_AXES, SINGLE),
+        (nifti, {"values": VALUES[:1]}, "4 x 3 x 1 voxels"),
+        (nifti, {"unit": "micron"}, "micron"),
+        (nifti, {"affine": PLAIN * [1, 1, 1, np.inf]}, "not finite"),
+        (nrrd, {"space": None, "dimension": "3\nspace dimension: 3"}, NOT_STATED),
+        (nrrd, {"space": "scanner-xyz"}, "its space is scanner-xyz"),
+        (nifti, {"codes": (0, 0)}, "qform_code and sform_code"),
+        (nrrd, {"space_directions": "(0.4,0,0) (0.1,0.5,0) (0,0,0.9)"}, SHEARED),
+        (nifti, {"affine": PLAIN + 0.72 * np.eye(4)[[3, 2, 3, 3]]}, SHEARED),
+        (nrrd, {"space_directions": "(0.0004,0,0) (0,0.0005,0) (0,0,0.0009)"}, "spacing"),
+        (metaimage, {"ElementSpacing": "400 500 900"}, "spacing"),
     ],
 )
-def test_geometries_that_are_no_volume_s(tmp_path, make, name, arguments, words):
-    assert words in refused(make(tmp_path / name, **arguments)).what
+def test_geometries_that_are_no_volume_s(tmp_path, write, arguments, words):
+    assert words in refused(write(tmp_path / NAMES[write], **arguments)).what
 
 
 def test_a_segmentation_of_slicer():

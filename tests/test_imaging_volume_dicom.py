@@ -57,15 +57,14 @@ def test_each_slice_has_its_rescaling(tmp_path):
 
 
 @pytest.mark.parametrize(("kind", "padding"), [("SS", -2000), ("US", 63536)])  # written without its sign
-def test_padding_gets_the_least_measured_value(tmp_path, kind, padding):
+def test_padding_gets_the_value_of_air(tmp_path, kind, padding):
     planes = NUMBERS + 100
     planes[:, 0, :3] = -2000
-    slices = [a_slice(k, plane, RescaleSlope="0.1", RescaleIntercept=-7) for k, plane in enumerate(planes)]
+    slices = [a_slice(k, plane, RescaleSlope="0.1", RescaleIntercept=-1007) for k, plane in enumerate(planes)]
     for data in slices:
         data.add_new("PixelPaddingValue", kind, padding)
     values = read_volume(save(tmp_path, slices)).values
-    least = np.float32(0.1 * 103 - 7)
-    assert (values[:, 0, :3] == least).all() and values.min() == least
+    assert (values[:, 0, :3] == -1000.0).all() and values.min() == -1000.0
 
 
 # Which files and which series

@@ -106,7 +106,7 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
     for item, plane in zip(slices, values, strict=True):
         plane[...] = _read_plane(item)
     with located(path):
-        fill_unknown(values, labels=False)
+        fill_unknown(values)
     localizers = len(images) - len(slices)
     return [f"{localizers} localizer(s) were left out"] * (localizers > 0)
 

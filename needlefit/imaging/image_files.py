@@ -25,10 +25,8 @@ IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageI
 Image = tuple[Callable[[], NDArray[Any]], VoxelGrid, int, dict[str, str]]
 
 
-def read_image(arrays: Arrays, path: str, labels: bool = False) -> dict[str, Any]:
+def read_image(arrays: Arrays, path: str) -> dict[str, Any]:
     """Read an image file: add "values" and "grid" to the arrays; return warnings, and texts of the header.
-
-    `labels`: whether the file holds labels.
 
     DataError if the file is none, is cut short, has not three dimensions, does not say in which coordinate
     system it stands, or claims an absurd size.
@@ -53,7 +51,7 @@ def read_image(arrays: Arrays, path: str, labels: bool = False) -> dict[str, Any
                 "of segments that overlap: set Modify other segments to Overwrite all in the Segment Editor, "
                 "and save again",
             ) from error
-        notes = fill_unknown(values, labels=labels)
+        notes = fill_unknown(values)
         arrays["values"] = values.view(Planes)
         arrays |= grid.placing
         return {"texts": texts, "warnings": notes}

@@ -36,7 +36,7 @@ def read_labels(path: Path) -> Labels:
     labels.
     """
     with open_member(path) as place, located(place):
-        volume, texts = read_image_file(place, labels=True)
+        volume, texts = read_image_file(place)
         present = sorted(set().union(*(np.unique(plane).tolist() for plane in volume.values)) - {0.0})
         are_labels = all(0 < value < 2**16 and value.is_integer() for value in present)
         if not are_labels or not 1 <= len(present) <= np.iinfo(np.uint8).max:

@@ -89,8 +89,8 @@ def check_grid(grid: VoxelGrid) -> None:
         )
 
 
-def fill_unknown(values: NDArray[Any], *, labels: bool) -> list[str]:
-    """Give voxels without a value (NaN) that of air, or of `labels` 0; return a note of how many, and where.
+def fill_unknown(values: NDArray[Any]) -> list[str]:
+    """Give voxels without a value (NaN) that of air, or of no label; return a note of how many, and where.
 
     DataError if no voxel has a value, or one is infinite.
     """
@@ -105,13 +105,11 @@ def fill_unknown(values: NDArray[Any], *, labels: bool) -> list[str]:
         )
     unknown = np.isnan(values)
     first, count = np.unravel_index(int(unknown.argmax()), values.shape)[::-1], int(np.count_nonzero(unknown))
-    # values that are nowhere below 0 are no HU, nor is then -1000
-    filled = 0.0 if labels else min(HU.AIR, low) if low < 0 else low
+    filled = min(HU.AIR, low) if low < 0 else 0.0  # labels are nowhere below 0
     values[unknown] = filled
     return [
         f"{count} of {values.size} voxels ({100 * count / values.size:.2g} %) have no value (NaN), the first "
-        f"at i, j, k = {', '.join(map(str, first))}: they were taken for "
-        f"{'no label' if labels else f'air, {filled:g} HU'}"
+        f"at i, j, k = {', '.join(map(str, first))}: {filled:g} was taken (air, or no label)"
     ]
 
 

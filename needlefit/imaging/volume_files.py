@@ -131,16 +131,15 @@ def is_image_file(place: Path) -> bool:
     return place.name.lower().endswith(IMAGE_SUFFIXES)
 
 
-def read_image_file(path: Path, labels: bool = False) -> tuple[Volume, dict[str, str]]:
-    """Read the volume, or the labels, in an image file, and the texts of its header about segments.
+def read_image_file(path: Path) -> tuple[Volume, dict[str, str]]:
+    """Read the volume in an image file, and the texts of its header about segments.
 
     DataError and ConfigError as `read_volume`.
     """
     require_packages()
     with open_regular(path, sys.maxsize):  # no device or pipe
-        arguments = {"path": str(path), "labels": labels}
         reader = "needlefit.imaging.image_files:read_image"
-        header, arrays = read_in_process(reader, path, arguments, seconds=READ_SECONDS)
+        header, arrays = read_in_process(reader, path, {"path": str(path)}, seconds=READ_SECONDS)
         return Volume(**arrays, warnings=tuple(header["warnings"])), header["texts"]
 
 
