@@ -294,7 +294,7 @@ FOUR_AXES = {
     "Offset": "0 0 0 0",
     "ElementSpacing": "1 1 1 1",
 }
-SINGLE, SHEARED, NOT_STATED = "be read as a volume", "not perpendicular", "does not state its space"
+SINGLE, SHEARED, NOT_STATED = "be read as a volume", "not perpendicular", "its space is not stated"
 TIMES = {"space_directions": "(1,0,0) (0,1,0) (0,0,1) none"}
 
 

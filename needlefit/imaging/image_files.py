@@ -106,9 +106,8 @@ def _open_itk(file: Path) -> Image:
     space = texts.get("NRRD_space", "")  # where there is none SimpleITK makes up the patient's left
     # MetaImage is LPS by its definition
     if reader.GetImageIO() == "NrrdImageIO" and space != "left-posterior-superior":
-        stated = f"its space is {space}, which does not describe the patient"
         raise DataError(
-            stated if space else "does not state its space",
+            f"its space is {space or 'not stated'}, which does not describe the patient",
             expected="`space: left-posterior-superior` or another anatomical one in the header",
             fix="export it from a program that knows the patient's axes, such as 3D Slicer",
         )
