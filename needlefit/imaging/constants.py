@@ -109,6 +109,7 @@ class PART:
     BRIGHTEST = 0.97  # of the brightest of something, beyond which all is as bright
     FAINT = 0.3  # of a needle's brightness: fainter sections show none
     OVERSHOOT = 0.2  # of a change, beside it, by sharp kernels, at most [G]
+    FIRST_NOISE = 0.05  # of a ball's brightness, before the noise is known
     SHOWN = 0.5  # of a cross-section in the volume, and of the way between points on which a needle shows
     REFUSED_MISFIT = 0.32  # of an end's image: needles alone have 0.31 at most, with a ball at the end 0.33
     END_MISFIT = 0.14  # of an end's image, that is spoken of

@@ -9,7 +9,7 @@ a ball that is cut low, is held by what is known of scanners.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
@@ -52,13 +52,15 @@ def _list_waves(reach: float) -> tuple[Floats, Floats, Floats, Floats]:
 def make_table(reach: float, radius: float, spread: PointSpread) -> Floats:
     """Return the image (G, G) of a ball of `radius` out to `reach`, mm, as splines."""
     across, along, wave, cosine = _list_waves(reach)
+    # a wide blur lets only the lowest frequencies pass
+    across = across[: np.searchsorted(across, MAX_FREQUENCY_SD / spread.blur)]
     x = radius * np.hypot(across[:, None], along)
     rings = across.copy()
     rings[0] *= 11 / 12  # the end term of Euler and Maclaurin: the integrand begins with a slope
     measure = 2 * FREQUENCY_STEP_PER_MM**2 / np.pi * radius**3 * rings[:, None]
     passed = np.outer(spread.pass_in_slices(across**2), spread.pass_across(along))
     ball = measure * passed * (np.sin(x) / x - np.cos(x)) / x**2
-    return np.asarray(spline_filter(wave @ ball @ cosine, mode="mirror"), float)
+    return np.asarray(spline_filter(wave[:, : len(across)] @ ball @ cosine, mode="mirror"), float)
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Blob:
     middle: Floats  # (3,); LPS, mm
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SphereVoxels:
     """The voxels around a ball."""
 
@@ -84,6 +86,11 @@ class SphereVoxels:
     floor: float
     ceiling: float
 
+    @cached_property
+    def reach(self) -> float:
+        """A distance, mm, beyond all voxels from a ball whose centre lies near the blob's middle."""
+        return float(np.ceil(1.5 * np.linalg.norm(self.places, axis=1).max()))
+
 
 @dataclass(frozen=True)
 class SphereFit:
@@ -92,8 +99,8 @@ class SphereFit:
     center: Floats  # (3,); LPS, mm
     sd: float  # deviation in any one direction, mm
     spread: PointSpread  # with which it is blurred
-    # Root mean square of what the fit leaves in and at the ball, and the deviation of the noise, in parts of
-    # the ball's height as shown.
+    # Root mean square of what the fit leaves in and at the ball, and the deviation of the noise around it, in
+    # parts of the ball's height as shown.
     misfit: float
     noise: float
 
@@ -103,22 +110,33 @@ class SphereFit:
 # step, HU; the step's direction over its width, 1/mm, and its offset
 CENTER, HEIGHT, SPREAD, LEVEL, STEP, FACE, OFFSET = slice(3), 3, slice(4, 7), 7, 8, slice(9, 12), 12
 KNOWN = slice(HEIGHT, SPREAD.stop)  # of which something is known before
-LOWER_BOUNDS, UPPER_BOUNDS = np.full((2, 13), [[-np.inf], [np.inf]])
-LOWER_BOUNDS[SPREAD], UPPER_BOUNDS[SPREAD] = LOWEST, HIGHEST
-LOWER_BOUNDS[FACE], UPPER_BOUNDS[FACE] = -3.0, 3.0  # no step is sharper than its blur
-LOWER_BOUNDS[HEIGHT], UPPER_BOUNDS[HEIGHT] = np.log(SCANNER.BALL.range)
+# bounds and typical changes of the parameters
+_RANGES = (
+    *3 * [(-np.inf, np.inf, 0.2)],
+    (*np.log(SCANNER.BALL.range), 0.3),
+    *zip(LOWEST, HIGHEST, (0.2, 0.5, 0.3), strict=True),
+    (-5e3, 1e4, 100.0),
+    (0.0, 3e3, 100.0),
+    *3 * [(-3.0, 3.0, 0.3)],
+    (-10.0, 10.0, 0.5),
+)
+LOWER_BOUNDS, UPPER_BOUNDS, PARAMETER_SCALES = np.array(list(zip(*_RANGES, strict=True)))
+
+
+@lru_cache(maxsize=16)  # of a step's derivatives half are of one ball
+def _show_ball(near: SphereVoxels, center: tuple[float, ...], spread: PointSpread) -> Floats:
+    """Return the image (N,) of a ball of height 1."""
+    d = near.places - center
+    at = np.stack([np.hypot(d[:, 0], d[:, 1]), np.abs(d[:, 2])]) / TABLE_STEP_MM
+    table = make_table(near.reach, near.radius, spread)
+    return map_coordinates(table, at, order=3, mode="mirror", prefilter=False)
 
 
 def render_sphere(near: SphereVoxels, theta: Floats) -> Floats:
     """Return the image (N,), HU, of a ball."""
-    d = near.places - theta[CENTER]
-    at = np.stack([np.hypot(d[:, 0], d[:, 1]), np.abs(d[:, 2])]) / TABLE_STEP_MM
-    # beyond all voxels from a ball whose centre lies near the blob's middle
-    reach = float(np.ceil(1.5 * np.linalg.norm(near.places, axis=1).max()))
-    table = make_table(reach, near.radius, read_spread(theta[SPREAD]))
-    ball = map_coordinates(table, at, order=3, mode="mirror", prefilter=False)
+    ball = _show_ball(near, tuple(theta[CENTER].tolist()), read_spread(theta[SPREAD]))
     around = theta[LEVEL] + theta[STEP] * ndtr(near.places @ theta[FACE] + theta[OFFSET])
-    return np.clip(around + (np.exp(theta[HEIGHT]) - around) * ball, near.floor, near.ceiling)
+    return np.clip(around + (float(np.exp(theta[HEIGHT])) - around) * ball, near.floor, near.ceiling)
 
 
 def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
@@ -139,7 +157,7 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
         sd=float(np.linalg.norm([formal, systematic, MM.GRID_SD])),
         spread=spread,
         misfit=misfit,
-        noise=robust_sd(residuals) / height,
+        noise=robust_sd(residuals[~inside]) / height,
     )
 
 
@@ -185,16 +203,17 @@ def _fit_model(near: SphereVoxels) -> tuple[Floats, Floats, Floats]:
     def fit(theta: Floats, noise: float) -> OptimizeResult:
         return least_squares(
             find_residuals,
-            np.clip(theta, LOWER_BOUNDS, UPPER_BOUNDS),
+            np.clip(theta, LOWER_BOUNDS + 1e-6, UPPER_BOUNDS - 1e-6),
             bounds=(LOWER_BOUNDS, UPPER_BOUNDS),
             loss="soft_l1",
             f_scale=SD.OUTLIER,
-            x_scale="jac",
-            ftol=1e-4,
+            x_scale=PARAMETER_SCALES,
+            ftol=PART.TOLERANCE,
+            max_nfev=40,
             args=(noise,),
         )
 
-    noise, count = PART.SIGNAL_ERROR * _find_height(near, theta), len(near.values)
+    noise, count = PART.FIRST_NOISE * _find_height(near, theta), len(near.values)
     best = fit(theta, noise)
     alike = max(1.0, MM.BLUR_CORE**3 / float(np.prod(near.spacing)))
     noise = max(1.0, noise * robust_sd(best.fun[:count])) * np.sqrt(alike)
