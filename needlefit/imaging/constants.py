@@ -128,7 +128,6 @@ class PART:
     # Of the distance of slices, for a needle in them; of its square over the radius, for a ball [R] [S]
     SLICE_SD = 0.02
     BALL_DIAMETER = 0.65  # of a ball of as many voxels over that sought, least [R]
-    BALL_ELONGATION = 2.0  # longest over shortest extent of what may be a ball
     LOOSE = 0.02  # of a layer's volume in islands and cavities, that is not spoken of
     AIR = 0.02  # of a scan's voxels, beyond which its air shows
     TOLERANCE = 1e-3  # of a fit's cost and parameters, at which it ends: an end moves by less than 0.01 mm

@@ -29,7 +29,7 @@ LEVEL_RATIO = 1.35  # ratio of one level above tissue to the one before
 def find_blobs(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None) -> list[Blob]:
     """Return the components above a level that may be a ball, the most similar in size first.
 
-    They have about the size of one of `recipe.markers.diameter_mm`, and are about as long as wide.
+    They have about the size of one of `recipe.markers.diameter_mm`.
 
     `exclude`: (N, 3) or None; voxels of the needle: what holds one of them is left out.
     """
@@ -44,17 +44,13 @@ def find_blobs(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | Non
     unit = (6 / np.pi * float(np.prod(volume.spacing))) ** (1 / 3)
     least, largest = PART.BALL_DIAMETER * diameter, diameter + MM.BLUR_REACH
     sizes = max(4.0, (least / unit) ** 3), max(4.0, (largest / unit) ** 3)
-    axes, blobs = volume.direction * volume.spacing, list[Blob]()
+    blobs = list[Blob]()
     for level in levels.tolist():
         if np.count_nonzero(bright.values > level) > MAX_LISTED_VOXELS:
             continue
         for voxels in bright.list_parts(level, sizes, without=exclude):
-            # 1/12 is the variance within a voxel: a single layer of voxels still has a thickness
-            moments = axes @ (np.cov(voxels.T, bias=True) + np.eye(3) / 12) @ axes.T
-            extents = np.sqrt(np.linalg.eigvalsh(moments))
-            if extents[-1] <= PART.BALL_ELONGATION * extents[0]:
-                middle = to_patient(volume, voxels.mean(axis=0)[None])[0]
-                blobs.append(Blob(voxels, level, unit * len(voxels) ** (1 / 3), middle))
+            middle = to_patient(volume, voxels.mean(axis=0)[None])[0]
+            blobs.append(Blob(voxels, level, unit * len(voxels) ** (1 / 3), middle))
     return sorted(blobs, key=lambda blob: abs(np.log(blob.diameter / diameter)))
 
 
