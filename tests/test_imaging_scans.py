@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 from refusals import refusal
 
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import make_sheet, write_surface
-from needlefit.imaging.scans import LayerSource, Scan, make_scans, read_scans
+from needlefit.imaging.scans import LayerSource, Scan, StagePose, make_scans, read_scans
+from needlefit.project.stored_values import encode
 from needlefit.schemas.scan_files import ScanFiles
 
 STAGE = "entry_x_mm,entry_y_mm,entry_z_mm,entry_dx,entry_dy,entry_dz,pose_shift_sd_mm,pose_angle_sd_deg"
@@ -53,19 +53,26 @@ def test_every_column_comes_through_and_has_a_default(folder):
         "1,2,3,0,0.6,0.8,0.1,1.5,0,0,2,-1,3,4,30,synthetic"
     )
     [scan] = read_scans(table(folder, columns, cells))
-    assert (scan.id, scan.volume, scan.series, scan.medium, scan.specimen) == (
-        *("a", folder / "series", "2", "gel", "block"),
+    expected = Scan(
+        id="a",
+        volume=folder / "series",
+        series="2",
+        medium="gel",
+        specimen="block",
+        mask=folder / "needle.nrrd",
+        markers=folder / "markers.csv",
+        fiducials=folder / "placed.mrk.json",
+        surfaces=(LayerSource(folder / "skin.stl"), LayerSource(folder / "core.stl", "solid", 4)),
+        surfaces_in="scan",
+        stage=StagePose(np.array([1.0, 2, 3]), np.array([0, 0.6, 0.8]), 0.1, np.radians(1.5)),
+        bevel=np.array([0.0, 0, 1]),
+        side=-1,
+        layers=3,
+        layers_alternative=4,
+        guide_distance=30.0,
+        origin="synthetic",
     )
-    assert (scan.mask, scan.markers, scan.fiducials) == (
-        *(folder / "needle.nrrd", folder / "markers.csv", folder / "placed.mrk.json"),
-    )
-    assert scan.surfaces == (LayerSource(folder / "skin.stl"), LayerSource(folder / "core.stl", "solid", 4))
-    assert (scan.surfaces_in, scan.side, scan.layers, scan.layers_alternative) == ("scan", -1, 3, 4)
-    assert (scan.guide_distance, scan.origin) == (30.0, "synthetic")
-    assert_array_equal(scan.stage.entry, [1, 2, 3])
-    np.testing.assert_allclose(scan.stage.direction, [0, 0.6, 0.8])
-    assert (scan.stage.shift_sd, scan.stage.angle_sd) == (0.1, pytest.approx(1.5 * np.pi / 180))
-    assert_array_equal(scan.bevel, [0, 0, 1])
+    assert encode(scan) == encode(expected)
 
 
 @pytest.mark.parametrize(

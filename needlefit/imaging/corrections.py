@@ -126,28 +126,26 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path], every: bool = Fa
         for id_, correction in read_corrections(path).items():
             owner = id_.rpartition("-")[0] if every and id_ not in corrected else id_
             scan = corrected.get(owner)
-            unmoved = all(places is None for places in vars(correction).values())
-            problems = {
-                f"is not among {', '.join(corrected)}": scan is None,
-                "is corrected a second time": scan and id_ in scan.needle_corrections,
-                "none of its control points was moved": unmoved and scan and not scan.answers,
-                "its balls were moved, but no known places of markers are stated": scan
-                and scan.markers is None
-                and correction.balls is not None,
-                "its entry was moved, but the stage (entry_x_mm ...) states it": scan
-                and scan.stage
-                and correction.entry is not None,
-            }
-            for problem in (problem for problem, is_so in problems.items() if is_so):
-                raise DataError(
-                    f"the scan `{id_}`: {problem}",
-                    expected="one list for each scan, with points that were moved or removed",
-                    fix="name that scan, too, and --all for one needle of several; move "
-                    "what is wrong in 3D Slicer, and save the list again (--confirm entry=1 confirms the "
-                    "entry as it is); moved balls need --markers, a moved entry no stage",
-                    where=path,
-                )
-            assert scan is not None
-            moved = {**scan.needle_corrections, id_: correction}
-            corrected[owner] = replace(scan, needle_corrections=moved)
+            if scan is None:
+                problem = f"is not among {', '.join(corrected)}"
+            elif id_ in scan.needle_corrections:
+                problem = "is corrected a second time"
+            elif all(places is None for places in vars(correction).values()) and not scan.answers:
+                problem = "none of its control points was moved"
+            elif correction.balls is not None and scan.markers is None:
+                problem = "its balls were moved, but no known places of markers are stated"
+            elif correction.entry is not None and scan.stage is not None:
+                problem = "its entry was moved, but the stage (entry_x_mm ...) states it"
+            else:
+                moved = {**scan.needle_corrections, id_: correction}
+                corrected[owner] = replace(scan, needle_corrections=moved)
+                continue
+            raise DataError(
+                f"the scan `{id_}`: {problem}",
+                expected="one list for each scan, with points that were moved or removed",
+                fix="name that scan, too, and --all for one needle of several; move what is wrong in 3D "
+                "Slicer, and save the list again (--confirm entry=1 confirms the entry as it is); moved "
+                "balls need --markers, a moved entry no stage",
+                where=path,
+            )
     return tuple(corrected.values())
