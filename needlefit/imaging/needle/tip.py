@@ -170,13 +170,8 @@ class TipProblem:
         self.level = float(np.median(values[np.hypot(*places[1:]) > MM.RIM]))
         self.swing = np.clip((self.places[0] - axis.length) / max(guess - axis.length, 0.25), 0, None)
         swing_sd = float(np.hypot(MM.SWING_SD, axis_sd(axis, np.array([axis.length]))[0]))
-        # the longer the rays within one slice that run along its end, where it lies flattest, the less of the
-        # image is the bevel's
-        end = axis_frames(axis, np.linspace(max(0.0, axis.length - MM.HIDDEN), axis.length, 16))
-        steep = max(float(np.abs(end.tangents @ normal).min()), 1e-6)
-        ray = min(2 * MM.HIDDEN, (needle.diameter_mm + volume.grid.slice_distance) / steep)
         cot = heel / needle.diameter_mm
-        cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) / np.hypot(1.0, ray / MM.DARK)
+        cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2)
         expected = spread or expected_spread(volume.grid.slice_distance)
         metal, swings, end_sd = SCANNER.METAL, 2 * [swing_sd], MM.BEYOND_END / SD.DISAGREEMENT
         # what is known of the parameters before, and its deviations
