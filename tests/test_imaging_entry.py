@@ -144,7 +144,7 @@ def test_a_plate_is_passed_by_its_stated_thickness_and_asked_for_where_it_is_not
 def test_a_first_material_unlike_tissue_may_be_a_guide_that_lies_on_it(level, is_tissue):
     shown = profile((-12.0, level), (0.0, 0.0))
     entry = choose(shown)
-    assert_allclose(entry.at, -12.0, atol=0.1)
+    assert_allclose(entry.at, -12.0 if is_tissue else 0.0, atol=0.1)
     assert (entry.doubt is None) == is_tissue
     assert_chosen(choose(shown, thickness=12.0), 0.0)  # it changes by 50 HU or more there
 
@@ -153,7 +153,7 @@ def test_a_first_material_unlike_tissue_may_be_a_guide_that_lies_on_it(level, is
 def test_the_end_of_a_guide_that_is_not_stated_is_as_uncertain_as_a_film_of_air_leaves_it(film):
     for shift in np.linspace(0.0, 0.5, 5):
         shown = profile((shift - 6.0, 120.0), (shift - film, -1000.0), (shift, 20.0), width=0.4)
-        entry, behind = choose(shown).answers
+        behind, entry = choose(shown).answers
         assert_allclose([entry.at, behind.guide[0]], shift - 6.0, atol=0.1)
         assert abs(behind.at - shift) < 3 * behind.sd and 0.15 < behind.sd < 0.2
 

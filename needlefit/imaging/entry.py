@@ -94,7 +94,7 @@ def choose_entry(
     """
     distance, soft = guide_distance or 0.0, find_faces(runs)
     faces, hidden = [EntryCandidate(run.begin, run.sd) for run in soft], list[EntryCandidate]()
-    doubt = f"the needle enters soft material {len(faces)} times"
+    doubt = f"soft materials that the needle enters from air: {len(faces)}, of which the first may be a guide"
     if guide_thickness:
         certain = _list_behind_guides(runs, guide_thickness, distance)
         doubt = f"{len(certain) or 'no'} guides of {guide_thickness:g} mm show along the needle"
@@ -108,7 +108,8 @@ def choose_entry(
     if len(certain) == 1:
         return certain[0]
     behind = _list_behind_guides(runs, None, distance)
-    likely = certain or hidden or faces or behind
+    # what is no soft tissue is more likely a guide
+    likely = certain or hidden or (behind[:1] if guide_thickness is None else faces) or faces or behind
     if not likely:
         return None
     answers = likely[-1:]
