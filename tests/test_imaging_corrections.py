@@ -153,20 +153,20 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
     )
     (points,) = json.loads(Path("asked.refused/slicer/plate.mrk.json").read_text())["markups"]
     places = {point["label"]: np.array(point["position"]) for point in points["controlPoints"]}
-    assert places.keys() == {"tip", "entry 1", "entry 2", "guide 2 begins", "guide 2 ends"}
-    assert_allclose(places["entry 1"], cases.ENTRY, atol=0.1)
-    lengths = [np.linalg.norm(places["tip"] - places[f"guide 2 {end}"]) for end in ("begins", "ends")]
+    assert places.keys() == {"tip", "entry 1", "entry 2", "guide 1 begins", "guide 1 ends"}
+    assert_allclose(places["entry 2"], cases.ENTRY, atol=0.1)
+    lengths = [np.linalg.norm(places["tip"] - places[f"guide 1 {end}"]) for end in ("begins", "ends")]
     assert lengths == approx([28.0, 14.0], abs=0.6)
     assert run(*shlex.split(command)[1:]) == 0  # as it is printed
     offered = pd.read_csv("asked/reconstruction.csv").iloc[0]
-    assert offered["depth_mm"] == approx(28.0, abs=0.2) and "confirmed" in offered["warnings"]
+    assert offered["depth_mm"] == approx(14.0, abs=0.6) and "confirmed" in offered["warnings"]
     confirmed = tomllib.loads(Path("asked/dataset.toml").read_text())["import"]["confirmed"]
     assert [*confirmed] == ["entry of plate"]
-    assert run(*words, "behind", "--confirm", "plate:entry=2") == 0
-    assert pd.read_csv("behind/reconstruction.csv").iloc[0]["depth_mm"] == approx(14.0, abs=0.6)
-    lists = json.loads(Path("behind/slicer/plate.mrk.json").read_text())["markups"]
+    lists = json.loads(Path("asked/slicer/plate.mrk.json").read_text())["markups"]
     (guide,) = (one["controlPoints"] for one in lists if "guide" in one["name"])
-    assert guide[0]["position"] == approx(places["entry 1"], abs=0.1) and guide[1]["label"] == "guide ends"
+    assert guide[0]["position"] == approx(places["entry 2"], abs=0.1) and guide[1]["label"] == "guide ends"
+    assert run(*words, "before", "--confirm", "plate:entry=2") == 0
+    assert pd.read_csv("before/reconstruction.csv").iloc[0]["depth_mm"] == approx(28.0, abs=0.2)
     assert run(*words, "none", "--confirm", "entry=3") == 3
     Path("tissue.toml").write_text("schema = 2\n[guide]\nthickness_mm = 0.0\n")
     capsys.readouterr()
