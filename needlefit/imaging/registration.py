@@ -88,7 +88,7 @@ def register(found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: 
         break
     if fault:
         raise DataError(
-            f"{fault}; their deviations are {np.sqrt(variance.max(initial=0.0)):.3g} mm at most",
+            f"{fault}; the largest SD of a marker is {np.sqrt(variance.max(initial=0.0)):.3g} mm",
             expected="three or more markers, one of them well beside the line through the others, at "
             "distances as in the world, no two of which are alike",
             fix="scan with all markers in view; look at those that were found; check the known ones, their "
