@@ -14,9 +14,9 @@ mm have axes off by 0.019 mm in the median (by cross-sections 0.034 of three, tw
 Where a needle lies flat, least squares have several minima: its axis bends from one slice to the next, or
 beside the rays that cross it. From the axes that were traced of ten volumes (`--seeds 3100:3112`) fits led to
 minima at 1.1 to 2.6 times the cost of those near the true axis. Hence fits begin again where moves of the
-axis along the normal cost least, until none ends lower: axes of these ten err by 0.040 mm in the median, by
-0.29 mm at most (with one fit 0.082 and 0.40). Moves across, too, lead the needle of one sharp kernel away
-(0.078 mm for 0.040); the least certain directions of the fit lead to no other minimum.
+axis along the normal, or of its end, cost least, until none ends lower. Moves across, too, lead the needle of
+one sharp kernel away; the least certain directions of the fit lead to no other minimum. The path is searched
+with a coarser rod, whose misfit has fewer minima: by the fine one two axes of six lay 0.1 mm farther off.
 
 Metal elsewhere in the slices is not modelled: without it tips of two volumes err by 0.04 and 0.08 mm (with it
 by 0.11 and 0.12).
@@ -57,23 +57,28 @@ SHEAR_SD_MM2 = 4e-5  # SD of the shear force over Young's modulus (mm2): 8 N in 
 BEAM = (SCANNER.ATTENUATION, SCANNER.HARDENING, SCANNER.SCATTER, SCANNER.LINEARITY)
 PROFILE_SDS = (0.4, 0.4, 0.5, 1.0, 1.5)  # prior SDs of the logarithms of the sensitivity
 TIP_SDS = np.array([1.0, 10.0])  # prior SDs of where the needle ends (mm), and of its bevel's roll (rad)
-MOVE_SIZES = (0.4, 0.15)  # sizes of moves of the axis: along the normal in slices, across in mm
+# sizes of moves: of the axis along the normal in slices, across in mm, of its end in mm
+MOVE_SIZES = (0.4, 0.15)
 TRIED_MOVES = 6  # number of moves from which a fit begins
 MOVED_STEPS = 4  # largest number of steps of such a fit
 LEAST_GAIN = 0.5  # smallest fall of the misfit (in squared deviations) that makes a minimum a lower one
-ROBUST_SD = (20.0, 4.0)  # numbers of deviations beyond which residuals count less, in the first fit and later
+# numbers of deviations beyond which residuals count less, in the first fit and later
+FIRST_ROBUST_SD = 20.0
+ROBUST_SD = 4.0
 STEP = 0.05  # step of the difference quotients
 VIEW_PART = 0.2  # angle between views along the needle over that at which a ray leaves it within a slice
 STEPS = 8  # largest number of steps of a fit
 ROUGH_FACTOR = 2.0  # factor on the rod's pieces and on the angles of views while its path is searched
-# first estimates of the model's error: in water, and as a fraction of the image
-FIRST_ERRORS = (0.15, 0.25)
+# the model's error in a fit: in water, and as a fraction of the image
+MODEL_ERRORS = (0.15, 0.25)
 CORRELATED_SAMPLES = 10.0  # number of samples that count as one
 # SDs of the axis (slices) that no residual shows: where it does not cross a slice, and per relative misfit of
 # the image; at the needle's end they are larger by a factor. Set on `benchmarks/real_scanners.py --seeds
 # 3100:3116` and `3300:3340`, where errors of tips over SDs are 1.1 along the needle, 0.8 and 0.7 across, in
 # root mean square.
-MIRROR_SD, MISFIT_SD, END_FACTOR = 0.1, 0.05, 5.0
+MIRROR_SD = 0.1
+MISFIT_SD = 0.05
+END_FACTOR = 5.0
 HUB_SDS = np.array([0.1, 0.3])  # SDs of a needle from its hub's middle: mm, and slices
 
 
@@ -201,8 +206,8 @@ class _SliceProblem:
         self.shown: Floats = np.where(self.seen[..., None], shown, 0.0)  # (K, S, U)
         self.line, self.rim = line, np.abs(line) > MM.RIM  # (U,); the second shows the surroundings
         self.level = self.shown[..., self.rim].mean(axis=-1, keepdims=True)  # (K, S, 1); their brightness
-        # deviations of what slices show before the model's error is known (K, S, U)
-        self.first_scale = np.hypot(FIRST_ERRORS[0], FIRST_ERRORS[1] * (self.shown - self.level))
+        # deviations of what slices show in a fit (K, S, U)
+        self.scale = np.hypot(MODEL_ERRORS[0], MODEL_ERRORS[1] * (self.shown - self.level))
         unique, moment = np.unique(knots), np.pi * needle.diameter_mm**4 / 64
         shear = basis.derivative(3)((unique[1:] + unique[:-1]) / 2)
         bent = np.vstack([shear, basis.derivative(2)(unique[-1:]) / MM.END_MOMENT])
@@ -264,9 +269,9 @@ class _SliceProblem:
         over = over - over[..., self.rim].mean(axis=-1, keepdims=True)
         return np.clip(over + self.level, *self.cut)
 
-    def residuals(self, theta: Floats, scale: Floats) -> Floats:
+    def residuals(self, theta: Floats) -> Floats:
         """Return what slices show and what is known, both in their deviations; neighbours count as one."""
-        left = (self.image(self.project(theta), theta) - self.shown) / scale
+        left = (self.image(self.project(theta), theta) - self.shown) / self.scale
         return np.append(left[self.seen].ravel() / np.sqrt(CORRELATED_SAMPLES), self.known(theta))
 
     def slopes(self, theta: Floats, scale: Floats) -> Floats:
@@ -290,18 +295,18 @@ class _SliceProblem:
         less = np.where(shown, 1 / (1 + squared), 1.0)
         return np.stack([np.where(shown, np.log1p(squared), squared), less, np.where(shown, -(less**2), 0.0)])
 
-    def descend(self, theta: Floats, scale: Floats, robust: float, steps: int = STEPS) -> OptimizeResult:
+    def descend(self, theta: Floats, robust: float = ROBUST_SD, steps: int = STEPS) -> OptimizeResult:
         """Return the least squares near `theta`; residuals beyond `robust` deviations count less."""
         evaluated: list[Floats] = []  # the last residuals: of where slopes are asked for
         last: list[Floats] = []  # where slopes were asked for last, with residuals and slopes
         turns = cycle(range(3))
 
-        def residuals(there: Floats, scale: Floats) -> Floats:
-            evaluated[:] = [self.residuals(there, scale)]
+        def residuals(there: Floats) -> Floats:
+            evaluated[:] = [self.residuals(there)]
             return evaluated[0]
 
         # slopes serve two further steps, corrected by what each showed
-        def slopes(there: Floats, scale: Floats) -> Floats:
+        def slopes(there: Floats) -> Floats:
             if next(turns):
                 before, left, jacobian = last
                 step = there - before
@@ -309,7 +314,7 @@ class _SliceProblem:
                 missed = evaluated[0] - left - jacobian @ step
                 jacobian = jacobian + np.outer(missed, weight / (weight @ step))
             else:
-                jacobian = self.slopes(there, scale)
+                jacobian = self.slopes(there, self.scale)
             last[:] = there, evaluated[0], jacobian
             return jacobian
 
@@ -317,7 +322,6 @@ class _SliceProblem:
             residuals,
             theta,
             jac=slopes,
-            args=(scale,),
             loss=self.loss,  # type: ignore[arg-type]  # the stubs describe another function
             f_scale=robust / np.sqrt(CORRELATED_SAMPLES),
             x_scale="jac",
@@ -330,13 +334,13 @@ class _SliceProblem:
     def search(self) -> Floats:
         """Return about where the needle runs and ends, from where its axis was traced."""
         best = np.concatenate([*self.start.T, [0.0, 0.0], self.means])
-        lowest, moves = self.first_misfit(best), self.moves
+        lowest, moves = self.misfit(best), self.moves
         for size in MOVE_SIZES:
             improved = True
             while improved:
                 improved = False
                 for move in np.concatenate([*moves, *-moves]):
-                    if (cost := self.first_misfit(best + size * move)) < lowest:
+                    if (cost := self.misfit(best + size * move)) < lowest:
                         best, lowest, improved = best + size * move, cost, True
         return self.turn(best)
 
@@ -351,13 +355,14 @@ class _SliceProblem:
     def solve(self, best: Floats) -> tuple[Floats, Floats, float]:
         """Return parameters near `best`, their covariance and the model's relative error."""
         # with ends before rolls a tip was 0.41 mm short, with both at once 0.01
-        best = self.turn(self.descend(best, self.first_scale, ROBUST_SD[0]).x)
-        best = self.leave_minima(self.descend(best, self.first_scale, ROBUST_SD[1]).x)
-        best = self.descend(self.turn(best), self.first_scale, ROBUST_SD[1]).x
+        best = self.turn(self.descend(best, FIRST_ROBUST_SD).x)
+        best = self.leave_minima(self.descend(best).x)
+        best = self.descend(self.turn(best)).x
         image = self.image(self.project(best), best)
-        jacobian = self.slopes(best, self.scale(image))
-        left = np.where(self.seen[..., None], image - self.shown, 0.0) / self.scale(image)
-        left /= np.sqrt(1 + (left / ROBUST_SD[1]) ** 2)
+        scale = self.measure_deviations(image)
+        jacobian = self.slopes(best, scale)
+        left = np.where(self.seen[..., None], image - self.shown, 0.0) / scale
+        left /= np.sqrt(1 + (left / ROBUST_SD) ** 2)
         factor = correlation_factor(np.moveaxis(left, 1, 0).reshape(left.shape[1], -1), len(best))
         covariance = np.linalg.inv(jacobian.T @ jacobian) * factor / CORRELATED_SAMPLES
         return np.asarray(best, float), np.asarray(covariance, float), self.error(image)
@@ -365,25 +370,24 @@ class _SliceProblem:
     def leave_minima(self, best: Floats) -> Floats:
         """Return the parameters of a minimum from whose neighbourhood no fit leads to a lower one.
 
-        Fits begin where moves of the axis along the normal lead to the least misfit.
+        Fits begin where moves of the axis along the normal, or of its end, lead to the least misfit.
         """
-        end = np.eye(len(best))[[2 * len(self.start)]]
-        along = np.vstack([self.moves[1], end])
-        moves = np.vstack([size * along for size in MOVE_SIZES])
+        moved = np.vstack([self.moves[1], np.eye(len(best))[2 * len(self.start)]])
+        moves = np.vstack([size * moved for size in MOVE_SIZES])
         while True:
-            lowest = self.first_misfit(best)
-            for start in sorted([*(best + moves), *(best - moves)], key=self.first_misfit)[:TRIED_MOVES]:
-                near = self.descend(start, self.first_scale, ROBUST_SD[1], MOVED_STEPS).x
-                if self.first_misfit(near) < lowest - LEAST_GAIN:
-                    best = self.descend(near, self.first_scale, ROBUST_SD[1]).x
+            lowest = self.misfit(best)
+            for start in sorted([*(best + moves), *(best - moves)], key=self.misfit)[:TRIED_MOVES]:
+                near = self.descend(start, steps=MOVED_STEPS).x
+                if self.misfit(near) < lowest - LEAST_GAIN:
+                    best = self.descend(near).x
                     break
             else:
                 return best
 
-    def first_misfit(self, theta: Floats) -> float:
-        """Return what is minimized before the model's error is known."""
-        robust = ROBUST_SD[1] / np.sqrt(CORRELATED_SAMPLES)
-        left = self.residuals(theta, self.first_scale) / robust
+    def misfit(self, theta: Floats) -> float:
+        """Return what is minimized."""
+        robust = ROBUST_SD / np.sqrt(CORRELATED_SAMPLES)
+        left = self.residuals(theta) / robust
         return float(robust**2 * np.sum(self.loss(left**2)[0]))
 
     def turn(self, theta: Floats) -> Floats:
@@ -392,10 +396,10 @@ class _SliceProblem:
         sides = np.arange(6) * np.pi / 3
         return min(
             (theta + away * end + side * roll for away in START_ENDS_MM for side in sides),
-            key=self.first_misfit,
+            key=self.misfit,
         )
 
-    def scale(self, image: Floats) -> Floats:
+    def measure_deviations(self, image: Floats) -> Floats:
         """Return the deviations of what slices show (K, S, U) that residuals of `image` show."""
         seen, over = self.seen[..., None], np.abs(image - self.level)
         bright = seen & (over > PART.FAINT * np.percentile(over[self.seen], 97))
