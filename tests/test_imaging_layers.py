@@ -111,7 +111,7 @@ def test_segments_that_are_not_those_of_the_voxels_are_refused(tmp_path, parts, 
         (lambda p: 0 * p[:, 0], "holds 0 values"),
         (lambda p: 100 * p[:, 0], "no labels"),
         (lambda p: np.rint(np.abs(p[:, 0]) * 20), "values besides 0"),
-        (lambda p: 1 + (np.linalg.norm(p, axis=1) < 0.9), "layer 2.* mm thick"),
+        (lambda p: 1 + (np.linalg.norm(p, axis=1) < 0.9), "layer 2.* 0.6 mm"),
     ],
 )
 def test_files_without_a_segmentation_or_with_a_speck_for_a_layer_are_refused(tmp_path, values, words):
@@ -132,6 +132,8 @@ def test_meshes_are_numbered_and_brought_into_the_world(tmp_path):
     assert_allclose([here.vertices.min(axis=0), here.vertices.max(axis=0)], CORE.bounds, atol=1e-4)
     away = save_mesh(tmp_path / "away.stl", CORE.copy().apply_translation([200, 0, 0]))
     assert str(away) in refused(core, away, surfaces_in="scan")
+    again = save_mesh(tmp_path / "again.stl", SHEET)
+    assert str(again) in refused(sheet, core, again)
 
 
 @pytest.mark.parametrize(

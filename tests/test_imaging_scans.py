@@ -88,7 +88,6 @@ def test_every_column_comes_through_and_has_a_default(folder):
         ("scan,surfaces", "one.nrrd,skin.stl=shell:2", "surfaces is 'skin.stl=shell:2'"),
         ("scan,surfaces", "one.nrrd,all.seg.nrrd=solid:2", "surfaces is 'all.seg.nrrd=solid:2'"),
         ("scan,surfaces", "one.nrrd,skin.stl;all.seg.nrrd", "one segmentation"),
-        ("scan,surfaces", "one.nrrd,skin.stl;skin.stl=sheet:3", "none twice"),
         ("scan,surfaces_in", "one.nrrd,room", "surfaces_in is 'room'"),
         ("scan,origin", "one.nrrd,guessed", "origin is 'guessed'"),
         ("scan,layers", "one.nrrd,two", "layers is 'two'"),

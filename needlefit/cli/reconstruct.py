@@ -194,6 +194,7 @@ def reconstruct(
         screen.print_text(f"{written.verdicts[0].sentence}.")
     _print_failures(invocation, written, failed, out if written else refused)
     print_warnings(invocation, warnings)
+    invocation.warned |= any(needle.warnings for needle in ones)
     _show(out, written, failed, warnings if invocation.json else None)
     if inspected and inspected.dataset and not invocation.json:
         show_next_steps(inspected.dataset, out)
@@ -291,7 +292,7 @@ def _print_failures(
         failure.scan for failure in failed if failure.asked and failure.scan.id not in failure.scan.answers
     ]:
         command = invocation.repeat("--confirm", name_answer(asked[0], count))
-        screen.print_note(f"needlefit: if answer 1 is right, else with its number: {command}")
+        screen.print_note(f"needlefit: with the number of the right answer: {command}")
     if failed and not run:
         screen.print_note(f"needlefit: no scan was reconstructed; the reasons as a table: {out}/refused.csv")
     elif failed and run:

@@ -137,7 +137,7 @@ def reconstruct_needles(
             raise DataError(
                 f"holds the needles {', '.join(ids)}, and not {', '.join(sorted(unknown))}",
                 expected="answers and corrections that name a needle each",
-                fix=f"state its needle: --confirm {ids[0]}:entry=1",
+                fix=f"state its needle: --confirm {ids[0]}:entry=1, or {ids[0]}.corrections.mrk.json",
                 where=scan.volume,
             )
     except NeedlefitError as error:

@@ -176,7 +176,8 @@ def find_series(path: Path, series: str | None) -> list[DicomSlice]:
         return chosen[0]
     listed = map(_describe, [*(chosen or groups.values())][:MAX_LISTED_FILES])
     raise DataError(
-        f"holds {len(chosen) or 'no'} series {series or ''} of DICOM images; {'; '.join(listed)}",
+        f"holds {len(chosen) or 'no'} series of DICOM images{f' called {series}' if series else ''}; in all: "
+        f"{'; '.join(listed) or 'none'}",
         expected="one series, in the folder or below it, or the name of the one that is meant",
         fix="name the folder in which the slices lie, or the .nrrd or .nii.gz file itself; of several series "
         "give the number or the UID with --series, or under `series` in a table of scans",

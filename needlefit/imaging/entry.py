@@ -94,7 +94,8 @@ def choose_entry(
     """
     distance, soft = guide_distance or 0.0, find_faces(runs)
     faces, hidden = [EntryCandidate(run.begin, run.sd) for run in soft], list[EntryCandidate]()
-    doubt = f"soft materials that the needle enters from air: {len(faces)}, of which the first may be a guide"
+    first = f"{soft[0].length:.1f} mm of {soft[0].level:.0f} HU" if soft else "metal"
+    doubt = f"the needle first enters {first}, which may be a guide"
     if guide_thickness:
         certain = _list_behind_guides(runs, guide_thickness, distance)
         doubt = f"{len(certain) or 'no'} guides of {guide_thickness:g} mm show along the needle"
@@ -164,7 +165,7 @@ def _list_behind_guides(
         face = change if change in faces else None  # not behind a cavity of the tissue
         # streaks widen steel, and hide its length where air follows; by more than its length a gap does
         cut = first.level > PART.BRIGHTEST * HU.CLIPPED
-        longest = min(2 * MM.BLUR_REACH, stated) if cut else MM.MATCH
+        longest = max(MM.MATCH, min(2 * MM.BLUR_REACH, stated)) if cut else MM.MATCH
         if metal and face:
             longest = max(longest, stated)
         if not -MM.MATCH <= excess <= longest:

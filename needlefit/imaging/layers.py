@@ -80,7 +80,8 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
     distance[np.abs(distance) < nearest] = nearest
     if distance.max() < 0:
         raise DataError(
-            f"layer {layer}, with those beyond it, is less than {2 * SMOOTHING_SD_MM} mm thick",
+            f"layer {layer}, with any beyond it, is too thin: a smoothing of "
+            f"{max(SMOOTHING_SD_MM, spacing.max()):.3g} mm (SD) leaves nothing of it",
             expected="layers that the smoothing leaves",
             fix="join it to its neighbour in 3D Slicer, or remove it",
         )
@@ -142,6 +143,15 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid) -> tuple[Surface, .
         except DataError as error:
             faults.append(make_file_fault(error, source.path))
             drawn = ()
+        for surface in drawn:
+            if any(np.array_equal(surface.vertices, other.vertices) for other in surfaces):
+                note_fault(
+                    faults,
+                    source.path,
+                    "lists a surface for the second time: one layer would be left out",
+                    "a surface of its own for each layer",
+                    "name the file of the other layer",
+                )
         surfaces += drawn
         into += source.into != 1  # the tissue's own takes no place
         for surface in drawn if within else ():  # others may be larger than what was scanned

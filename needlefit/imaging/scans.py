@@ -167,9 +167,8 @@ def _parse_layers(text: str, info: ValidationInfo) -> tuple[LayerSource, ...]:
                 f"segmentation ({', '.join(SEGMENTATION_SUFFIXES)}); {path} is none"
             )
         layers.append(LayerSource(path, kind or None, int(into) if into else None))
-    alone = len(layers) == 1 or not any(layer.is_segmentation for layer in layers)
-    if not alone or len({layer.path for layer in layers}) < len(layers):
-        raise ValueError("one segmentation of all layers, or a mesh for each, none twice")
+    if len(layers) > 1 and any(layer.is_segmentation for layer in layers):
+        raise ValueError("one segmentation of all layers, or a mesh for each")
     return tuple(layers)
 
 

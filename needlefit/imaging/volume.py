@@ -22,7 +22,7 @@ DEFAULT_MAX_VOXELS = 2**30
 # is not mm
 SPACINGS_MM = (1e-3, 50.0)
 # largest deviation of axes from right angles and unit length, as cosines printed with three decimals have
-AXES_COSINE_TOLERANCE = 2e-3
+AXES_COSINE_TOLERANCE = 1e-3
 MAX_EQUAL = 3  # largest number of voxels around an object that have its largest value by chance
 # largest tilt (degrees): a gantry tilts by 30 at most; its slices then lean over one another by as much
 MAX_TILT_DEG = 35.0
@@ -109,7 +109,8 @@ def fill_unknown(values: NDArray[Any]) -> list[str]:
     values[unknown] = filled
     return [
         f"{count} of {values.size} voxels ({100 * count / values.size:.2g} %) have no value (NaN), the first "
-        f"at i, j, k = {', '.join(map(str, first))}: {filled:g} was taken (air, or no label)"
+        f"at i, j, k = {', '.join(map(str, first))}: {filled:g} was taken, "
+        f"{'air' if low < 0 else 'no label'}"
     ]
 
 

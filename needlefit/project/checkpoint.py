@@ -154,7 +154,7 @@ def _prepare(folder: Path, work: str, resume: bool, note: Note) -> None:
             raise ConfigError(
                 "the interrupted run was of other work",
                 expected="the same data, configuration, seed and versions",
-                fix="remove this folder, or leave out --resume: the run then starts afresh",
+                fix="remove this folder; of a run, or leave out --resume: the work then starts afresh",
                 where=folder,
             )
         return

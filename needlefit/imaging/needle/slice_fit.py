@@ -16,12 +16,14 @@ beside the rays that cross it. From the axes that were traced of ten volumes (`-
 minima at 1.1 to 2.6 times the cost of those near the true axis. Hence fits begin again where moves of the
 axis along the normal, or of its end, cost least, until none ends lower. Moves across, too, lead the needle of
 one sharp kernel away; the least certain directions of the fit lead to no other minimum. The path is searched
-with a coarser rod, whose misfit has fewer minima: by the fine one two axes of six lay 0.1 mm farther off.
+with a coarser rod, too, whose misfit has other minima, and with less attenuation: with one search alone the
+axes of four needles of 60 lay 0.1 to 0.4 mm farther off.
 
 Metal elsewhere in the slices is not modelled: without it tips of two volumes err by 0.04 and 0.08 mm (with it
 by 0.11 and 0.12).
 """
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from itertools import cycle
@@ -67,6 +69,7 @@ FIRST_ROBUST_SD = 20.0
 ROBUST_SD = 4.0
 STEP = 0.05  # step of the difference quotients
 VIEW_PART = 0.2  # angle between views along the needle over that at which a ray leaves it within a slice
+CLEAR_START = -1.5  # logarithm of the attenuation over the expected one, with which a search begins, too
 STEPS = 8  # largest number of steps of a fit
 ROUGH_FACTOR = 2.0  # factor on the rod's pieces and on the angles of views while its path is searched
 # the model's error in a fit: in water, and as a fraction of the image
@@ -76,9 +79,9 @@ CORRELATED_SAMPLES = 10.0  # number of samples that count as one
 # the image; at the needle's end they are larger by a factor. Set on `benchmarks/real_scanners.py --seeds
 # 3100:3116` and `3300:3340`, where errors of tips over SDs are 1.1 along the needle, 0.8 and 0.7 across, in
 # root mean square.
-MIRROR_SD = 0.1
-MISFIT_SD = 0.05
-END_FACTOR = 5.0
+MIRROR_SD = 0.15
+MISFIT_SD = 0.07
+END_FACTOR = 4.0
 HUB_SDS = np.array([0.1, 0.3])  # SDs of a needle from its hub's middle: mm, and slices
 
 
@@ -113,8 +116,8 @@ def place_in_slices(
     problem = _SliceProblem(volume, needle, frame, origin, (x, y, z), spread, hub)
     if np.count_nonzero(problem.seen.any(axis=0)) < 2 * len(problem.start):
         return None
-    start = problem.place_rod(ROUGH_FACTOR).search()
-    theta, covariance, error = problem.place_rod(1.0).solve(start)
+    fine = problem.place_rod(1.0)
+    theta, covariance, error = fine.solve([problem.place_rod(ROUGH_FACTOR).search(), fine.search()])
     across, along, (end, roll), scan = problem.split(theta)
     transparent = scan[0] < problem.means[0] - SD.DISAGREEMENT * problem.sds[0]
     if transparent and hub is None and error > PART.END_MISFIT:
@@ -333,7 +336,10 @@ class _SliceProblem:
 
     def search(self) -> Floats:
         """Return about where the needle runs and ends, from where its axis was traced."""
-        best = np.concatenate([*self.start.T, [0.0, 0.0], self.means])
+        opaque = np.concatenate([*self.start.T, [0.0, 0.0], self.means])
+        clear = opaque.copy()
+        clear[2 * len(self.start) + 2] += CLEAR_START
+        best = min(opaque, clear, key=self.misfit)
         lowest, moves = self.misfit(best), self.moves
         for size in MOVE_SIZES:
             improved = True
@@ -352,11 +358,11 @@ class _SliceProblem:
         steps = np.eye(2 * count, 2 * count + 2 + len(self.means))
         return np.stack([shapes @ steps[:count], self.thick * shapes @ steps[count:]])
 
-    def solve(self, best: Floats) -> tuple[Floats, Floats, float]:
-        """Return parameters near `best`, their covariance and the model's relative error."""
+    def solve(self, starts: Sequence[Floats]) -> tuple[Floats, Floats, float]:
+        """Return parameters near the best of `starts`, their covariance and the model's relative error."""
         # with ends before rolls a tip was 0.41 mm short, with both at once 0.01
-        best = self.turn(self.descend(best, FIRST_ROBUST_SD).x)
-        best = self.leave_minima(self.descend(best).x)
+        turned = [self.turn(self.descend(start, FIRST_ROBUST_SD).x) for start in starts]
+        best = self.leave_minima(self.descend(min(turned, key=self.misfit)).x)
         best = self.descend(self.turn(best)).x
         image = self.image(self.project(best), best)
         scale = self.measure_deviations(image)
