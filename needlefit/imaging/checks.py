@@ -136,8 +136,8 @@ def _list_plane_warnings(result: Reconstruction) -> Iterator[str]:
     error = float(np.hypot(result.sd[-1], pose_sd))
     if scan.bevel is None and abs(deflection) < SD.DISAGREEMENT * error:
         yield (
-            f"the tip lies {abs(deflection):.2f} ± {error:.2f} mm beside the entry axis: so straight, "
-            "it determines no bending plane, and its deflection is biased upward; state the bevel's direction"
+            f"the tip lies {abs(deflection):.2f} ± {error:.2f} mm beside the entry axis, which determines no "
+            "bending plane: its deflection is biased upward; state the bevel's direction"
         )
     bevel = result.patient.rotation @ needle.bevel
     if scan.bevel is not None and np.isfinite(bevel).all():

@@ -209,14 +209,12 @@ def dicom():
 def archives():
     import zipfile
 
-    from test_imaging_exports import pack
+    files = {f"s/{Path(file).name}": data for file, data in dicom()[0].files.items()}
 
     def write(path, method):
-        with tempfile.TemporaryDirectory() as name:
-            (Path(name) / "s").mkdir()
-            for file, data in dicom()[0].files.items():
-                (Path(name) / "s" / Path(file).name).write_bytes(data)
-            pack(path, Path(name), method)
+        with zipfile.ZipFile(path, "w", method) as archive:
+            for name, data in files.items():
+                archive.writestr(name, data)
 
     return [saved("scan.zip", write, method) for method in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)]
 
