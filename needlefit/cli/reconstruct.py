@@ -159,7 +159,14 @@ def reconstruct(
         with show_progress(invocation.quiet) as report:
             with open_pool(invocation, MAX_DEFAULT_JOBS) as pool:
                 scanned = reconstruct_all(
-                    wanted, record, every, pool, report, execution.stop, checkpoint, name_work
+                    wanted,
+                    record,
+                    every,
+                    pool=pool,
+                    progress=report,
+                    stop=execution.stop,
+                    checkpoint=checkpoint,
+                    name_work=name_work,
                 )
             if len(scanned) < len(wanted):
                 raise execution.interrupted()

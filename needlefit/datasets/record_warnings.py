@@ -157,12 +157,9 @@ def _find_surface_warnings(name: str, group: Sequence[Insertion], where: str) ->
     sheets = [surface.into for surface in group[0].surfaces if surface.kind == "sheet"]
     least = max((float(one.boundaries[0]) for one in meeting), default=0.0)
     missed = [one for one in group if one not in meeting and one.depth > least]
-    beyond = any(
-        surface.into > 1 for surface in group[0].surfaces
-    )  # the tissue's own leads into no other layer
-    if (
-        missed and beyond and (not meeting or len(sheets) == len(group[0].surfaces))
-    ):  # beside a solid a needle may pass
+    # the tissue's own surface leads into no other layer, and beside a solid a needle may pass
+    beyond = any(surface.into > 1 for surface in group[0].surfaces)
+    if missed and beyond and (not meeting or len(sheets) == len(group[0].surfaces)):
         points = np.vstack([one.centerline[:1] for one in missed])
         places = [surface.vertices for surface in group[0].surfaces]
         within = any(((one.min(axis=0) <= points) & (points <= one.max(axis=0))).all() for one in places)

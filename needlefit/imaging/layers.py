@@ -4,9 +4,10 @@ Of a segmentation, layer k is drawn as the solid of all labels of layer k and be
 another, so that no gap opens between neighbours, and, listed in order, the last one that holds a point is the
 point's layer.
 
-The voxels are averaged in cells of two, smoothed by a normal distribution of `SMOOTHING_SD_MM`, and the
-average is turned into a distance along which marching cubes may interpolate: beside a plane it is the normal
-distribution function of the distance. A plane stays where it was; a right-angled edge loses about 0.5 mm.
+The voxels are averaged in cells of twice `SMOOTHING_SD_MM`, smoothed by a normal distribution of that
+deviation, and the average is turned into a distance along which marching cubes may interpolate: beside a
+plane it is the normal distribution function of the distance. A plane stays where it was; a right-angled edge
+loses about 0.5 mm.
 """
 
 from dataclasses import dataclass, replace
@@ -148,7 +149,7 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid) -> tuple[Surface, .
                 note_fault(
                     faults,
                     source.path,
-                    "lists a surface for the second time: one layer would be left out",
+                    "holds a surface that another layer has, too: one layer would be left out",
                     "a surface of its own for each layer",
                     "name the file of the other layer",
                 )

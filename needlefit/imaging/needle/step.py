@@ -44,6 +44,8 @@ def find_step(volume: Volume, axis: AxisSpline, near_slices: bool) -> Step | Non
     height = (axis.points - volume.origin) @ normal / volume.grid.slice_distance
     # sections of a base in tissue or air show its end, too
     tested = height[(axis.s > MM.EDGE_BLUR) & (axis.s < axis.length - MM.EDGE_BLUR)]
+    if not len(tested):
+        return None
     boundaries = np.arange(np.floor(tested.min()), tested.max())
     step, probability = None, PROBABILITY.FALSE_ALARM
     for boundary in boundaries:
