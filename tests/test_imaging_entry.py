@@ -23,7 +23,7 @@ from needlefit.imaging.materials import list_materials
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.pose import find_first_contact, pose_from_shaft
 from needlefit.imaging.reconstruct import Examination, VolumeSearch, examine
-from needlefit.imaging.reconstruction import EntryCandidate, EntryPose, IntensityProfile, NeedleImage
+from needlefit.imaging.reconstruction import EntryChoice, EntryPlace, EntryPose, IntensityProfile, NeedleImage
 from needlefit.imaging.scans import Corrections, LayerSource, Scan
 
 FREE = 95.0
@@ -43,9 +43,9 @@ def fit_shaft(origin, direction, bend=0.0, turn=0.0, shown=40.0):
     scan = Scan("a", Path("a.nrrd"), "box", guide_distance=FREE)
     nothing = IntensityProfile(np.empty(0), np.empty(0))
     image = NeedleImage(
-        scan=scan, grid=cases.grid(), needle_axis=needle, profile=nothing, passed=(), entry=None
+        scan=scan, grid=cases.grid(), needle_axis=needle, profile=nothing, passed=(), choice=EntryChoice()
     )
-    entry = EntryCandidate(arc_length(points)[-1] + 0.5, 0.1)
+    entry = EntryPlace(arc_length(points)[-1] + 0.5, 0.1)
     return points, pose_from_shaft(image, entry, cases.RECIPE)
 
 
@@ -118,8 +118,9 @@ def choose(shown, thickness=None, distance=None):
     return choose_entry(list_materials(shown, TIP), TIP, thickness, distance)
 
 
-def assert_chosen(entry, at, guide=None, atol=0.1, guide_atol=None):
-    assert entry.doubt is None
+def assert_chosen(choice, at, guide=None, atol=0.1, guide_atol=None):
+    assert choice.doubt is None
+    (entry,) = choice.entries
     assert_allclose(entry.at, at, atol=atol)
     if guide is not None:
         assert_allclose(entry.guide, guide, atol=guide_atol or atol)
@@ -127,14 +128,14 @@ def assert_chosen(entry, at, guide=None, atol=0.1, guide_atol=None):
 
 def test_a_plate_is_passed_by_its_stated_thickness_and_asked_for_where_it_is_not_stated():
     for gap in [2.0, 3.0, 6.0, 11.0]:
-        entry = choose(profile(*plate(-8.0 - gap, -gap, 110.0), width=0.7), thickness=8.0)
-        assert_chosen(entry, 0.0, atol=min(0.15, 3 * entry.sd))
+        choice = choose(profile(*plate(-8.0 - gap, -gap, 110.0), width=0.7), thickness=8.0)
+        assert_chosen(choice, 0.0, atol=min(0.15, 3 * choice.entries[0].sd))
     shown = profile(*plate(-19.0, -11.0, 110.0))
     for thickness in (None, 14.0):
-        entry = choose(shown, thickness=thickness)
-        assert entry.doubt.where == "guide.thickness_mm"
-        assert_allclose([one.at for one in entry.answers], [0.0, -19.0], atol=0.1)
-        assert "1: 40.0" in entry.doubt.what and "2: 59.0" in entry.doubt.what
+        choice = choose(shown, thickness=thickness)
+        assert choice.doubt.where == "guide.thickness_mm"
+        assert_allclose([one.at for one in choice.entries], [0.0, -19.0], atol=0.1)
+        assert "1: 40.0" in choice.doubt.what and "2: 59.0" in choice.doubt.what
     assert_chosen(choose(shown, thickness=0.0), -19.0)
 
 
@@ -143,9 +144,9 @@ def test_a_plate_is_passed_by_its_stated_thickness_and_asked_for_where_it_is_not
 )
 def test_a_first_material_unlike_tissue_may_be_a_guide_that_lies_on_it(level, is_tissue):
     shown = profile((-12.0, level), (0.0, 0.0))
-    entry = choose(shown)
-    assert_allclose(entry.at, -12.0 if is_tissue else 0.0, atol=0.1)
-    assert (entry.doubt is None) == is_tissue
+    choice = choose(shown)
+    assert_allclose(choice.entries[0].at, -12.0 if is_tissue else 0.0, atol=0.1)
+    assert (choice.doubt is None) == is_tissue
     assert_chosen(choose(shown, thickness=12.0), 0.0)  # it changes by 50 HU or more there
 
 
@@ -153,7 +154,7 @@ def test_a_first_material_unlike_tissue_may_be_a_guide_that_lies_on_it(level, is
 def test_the_end_of_a_guide_that_is_not_stated_is_as_uncertain_as_a_film_of_air_leaves_it(film):
     for shift in np.linspace(0.0, 0.5, 5):
         shown = profile((shift - 6.0, 120.0), (shift - film, -1000.0), (shift, 20.0), width=0.4)
-        behind, entry = choose(shown).answers
+        behind, entry = choose(shown).entries
         assert_allclose([entry.at, behind.guide[0]], shift - 6.0, atol=0.1)
         assert abs(behind.at - shift) < 3 * behind.sd and 0.15 < behind.sd < 0.2
 
@@ -163,9 +164,9 @@ def test_the_end_of_a_guide_that_is_not_stated_is_as_uncertain_as_a_film_of_air_
 def test_a_plate_on_the_tissue_ends_after_its_thickness_and_what_is_stated_of_the_gap(level, dip):
     # a film of air, of which blur leaves a dip, moves the change of brightness
     flush = profile((-8.0, level), (0.0, dip), (0.5, 35.0), (13.0, -5.0))
-    entry = choose(flush, thickness=8.0)
-    assert_chosen(entry, 0.0, (-8.0, 0.0), atol=0.05)
-    assert entry.sd > (0.2 if dip else 0.05)  # what is darker than both may be a film
+    choice = choose(flush, thickness=8.0)
+    assert_chosen(choice, 0.0, (-8.0, 0.0), atol=0.05)
+    assert choice.entries[0].sd > (0.2 if dip else 0.05)  # what is darker than both may be a film
     assert_chosen(choose(flush, thickness=8.0, distance=0.5), 0.5, (-8.0, 0.0), atol=0.05)
     cavity = profile((-8.0, level), (0.0, 35.0), (15.0, -1000.0), (20.0, 35.0))
     assert_chosen(choose(cavity, thickness=8.0), 0.0, atol=0.05)
@@ -200,26 +201,26 @@ def test_a_stated_guide_that_the_scan_does_not_show_is_named(edges, thickness):
 def test_a_guide_of_any_material_is_passed(level, thickness):
     for gap in [2.0, 6.0, 11.0]:
         faces = -gap - thickness, -gap
-        entry = choose(profile(*plate(*faces, level)), thickness=thickness)
-        assert_chosen(entry, 0.0, faces, atol=0.2, guide_atol=1.0)
+        choice = choose(profile(*plate(*faces, level)), thickness=thickness)
+        assert_chosen(choice, 0.0, faces, atol=0.2, guide_atol=1.0)
 
 
 @pytest.mark.parametrize(("level", "is_plate"), [(110.0, True), (-70.0, False), (35.0, False)])
 def test_a_thin_plate_on_the_tissue_is_passed_if_it_is_unlike_it(level, is_plate):
-    entry = choose(profile((-2.0, level), (0.0, 35.0), width=0.4), thickness=2.0)
-    assert_allclose(entry.at, 0.0, atol=0.1)
-    assert (entry.doubt is None) == is_plate
+    choice = choose(profile((-2.0, level), (0.0, 35.0), width=0.4), thickness=2.0)
+    assert_allclose(choice.entries[0].at, 0.0, atol=0.1)
+    assert (choice.doubt is None) == is_plate
 
 
 def test_a_guide_that_the_volume_cuts_and_that_lies_on_the_tissue_leaves_no_entry():
-    assert choose(profile((0.0, 35.0), s=S[S > -5.0], start=900.0), thickness=12.0) is None
+    assert choose(profile((0.0, 35.0), s=S[S > -5.0], start=900.0), thickness=12.0) == EntryChoice()
 
 
 def test_metal_on_the_tissue_is_passed_by_the_thickness_that_it_has():
     edges = (-8.0, 2500.0), (0.0, 35.0)
     assert_chosen(choose(profile(*edges), thickness=8.0), 0.0, (-8.0, 0.0), atol=0.2)
     for stations in (S, S[S > -7.0]):  # the volume begins in it
-        (answer,) = choose(profile(*edges, s=stations), thickness=3.0).answers
+        (answer,) = choose(profile(*edges, s=stations), thickness=3.0).entries
         assert_allclose(answer.at, 0.0, atol=0.5)
     bright = profile(*plate(-15.9, -2.0, 3071.0))  # looks 1.9 mm longer than it is
     assert_chosen(choose(bright, thickness=12.0), 0.0, atol=0.2)
@@ -231,8 +232,8 @@ def test_metal_is_passed_by_the_middle_of_its_brightest_part_though_streaks_go_o
     away = np.maximum(np.abs(S + gap + 3.0) - 3.0, 0.0)  # from its faces, 6 mm apart
     tissue = 900.0 * (S >= 0.0) if gap else 0.0  # in the streaks air behind metal is but a dip
     around = np.minimum(12_000.0 * np.exp(-away) + np.where(S < 0, -200.0, 35.0) + tissue, top)
-    entry = choose(IntensityProfile(S, around), thickness=6.0)
-    assert_chosen(entry, 0.0, (-6.0 - gap, -gap), atol=0.3)
+    choice = choose(IntensityProfile(S, around), thickness=6.0)
+    assert_chosen(choice, 0.0, (-6.0 - gap, -gap), atol=0.3)
 
 
 # ---- by the tissue's own surface, unless the scan itself shows another place

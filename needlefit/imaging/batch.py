@@ -161,11 +161,10 @@ def reconstruct_needles(
 
 def _describe_failure(volume: Volume, found: Examination, error: NeedlefitError) -> ReconstructionFailure:
     """Return why a scan is refused, with what was found in it as points and in a picture."""
-    scan, needle, entry = found.scan, found.curve, found.entry
+    scan, needle, answers = found.scan, found.curve, found.choice.entries
     refused = ReconstructionFailure(scan, explain_refusal(error, volume), warnings=volume.warnings)
     if needle is None:
         return refused
-    answers = entry.answers or (entry,) if entry is not None else ()
     along = {"tip": float(arc_length(needle)[-1])}
     for n, answer in enumerate(answers, start=1):
         along[f"entry {n}"] = answer.at
@@ -178,5 +177,5 @@ def _describe_failure(volume: Volume, found: Examination, error: NeedlefitError)
         points=make_control_points(scan.id, needle, next(iter(entries), None), found.markers),
         entries=Markups(Path(scan.id), f"{scan.id} entries", "Fiducial", tuple(along), points),
         picture=picture_curve(volume, needle, entries),
-        asked=entry is not None and error is entry.doubt,
+        asked=error is found.choice.doubt,
     )

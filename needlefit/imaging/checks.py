@@ -13,7 +13,6 @@ from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import Surface, find_nearest
 from needlefit.imaging.constants import HU, MM, PART, SD
 from needlefit.imaging.entry import is_soft_tissue
-from needlefit.imaging.materials import find_faces
 from needlefit.imaging.reconstruction import EntryPose, Layers, Reconstruction
 from needlefit.imaging.scans import Scan
 
@@ -110,7 +109,7 @@ def _list_entry_warnings(result: Reconstruction) -> Iterator[str]:
         )
     # nothing else says where the tissue begins where that is the brightness of the scan itself
     staged, own = pose.source == "stage", any(surface.into == 1 for surface in result.layers.surfaces)
-    faces = find_faces(result.passed)
+    faces = [run for run in result.passed if run.behind_air]
     if not faces or not (staged or own):
         return
     face = min(faces, key=lambda face: abs(face.begin - entry.at))

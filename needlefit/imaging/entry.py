@@ -15,16 +15,15 @@ from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.constants import HU, MM, PART
-from needlefit.imaging.materials import find_faces
 from needlefit.imaging.needle.centerline import project_point
-from needlefit.imaging.reconstruction import EntryCandidate, MaterialRun, NeedleImage
+from needlefit.imaging.reconstruction import EntryChoice, EntryPlace, MaterialRun, NeedleImage
 from needlefit.imaging.scans import Corrections
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 
 def locate_entry(
     image: NeedleImage, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
-) -> EntryCandidate:
+) -> EntryPlace:
     """Return where along the whole needle the tissue begins.
 
     A first contact placed by hand says it, else the tissue's own surface where there is one, else the
@@ -45,12 +44,13 @@ def locate_entry(
                 fix="place it on the needle; RAS has x and y of the other sign",
                 where="entry of the corrections",
             )
-        return EntryCandidate(place, recipe.entry.placed_contact_sd_mm)
+        return EntryPlace(place, recipe.entry.placed_contact_sd_mm)
     own = (surface for surface in surfaces if surface.into == 1)
     hits = [hit for surface in own for hit in find_surface_hits(image.whole_needle, surface).tolist()]
     if hits:
-        return EntryCandidate(min(hits), recipe.layers.surface_sd_mm)
-    if image.entry is None:
+        return EntryPlace(min(hits), recipe.layers.surface_sd_mm)
+    choice, number = image.choice, image.scan.answers.get(image.scan.id)
+    if not choice.entries:
         raise DataError(
             "the scan does not show where the needle enters the tissue",
             expected="air before the tissue along the needle, the tissue's surface, or the stage",
@@ -58,22 +58,13 @@ def locate_entry(
             "(entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the layers, as "
             "FILE=sheet:1 or FILE=solid:1",
         )
-    return _answer_doubt(image.entry, image.scan.answers.get(image.scan.id))
-
-
-def _answer_doubt(entry: EntryCandidate, number: int | None) -> EntryCandidate:
-    """Return an entry, or, where it is in doubt, that of the answer of a number, from 1."""
-    if entry.doubt is None:
-        return entry
+    if choice.doubt is None:
+        return choice.entries[0]
     if number is None:
-        raise entry.doubt
-    if number > len(entry.answers):
-        raise DataError(
-            f"there is no answer {number}: {entry.doubt.what}",
-            expected=f"1 to {len(entry.answers)}",
-            fix="give one of these numbers (--confirm entry=1)",
-        )
-    return replace(entry.answers[number - 1], confirmed=f"answer {number}; {entry.doubt.what}")
+        raise choice.doubt
+    if number > len(choice.entries):
+        raise choice.doubt.replace(what=f"there is no answer {number}: {choice.doubt.what}")
+    return replace(choice.entries[number - 1], confirmed=f"answer {number}; {choice.doubt.what}")
 
 
 def is_soft_tissue(level: float) -> bool:
@@ -83,17 +74,17 @@ def is_soft_tissue(level: float) -> bool:
 
 def choose_entry(
     runs: Sequence[MaterialRun], tip: float, guide_thickness: float | None, guide_distance: float | None
-) -> EntryCandidate | None:
-    """Return where the needle enters the tissue; None if nothing shows it.
+) -> EntryChoice:
+    """Return where the needle may enter the tissue.
 
-    It has a doubt, and answers, if what is stated does not decide between several places, or the scan does
-    not show it.
+    There is a doubt if what is stated does not decide between several places, or the scan does not show it.
 
     `runs`: what the needle passes. `tip`: where it is, mm along the needle. `guide_thickness`: along the
     needle, mm; 0: no guide. `guide_distance`: from the guide to the entry, mm.
     """
-    distance, soft = guide_distance or 0.0, find_faces(runs)
-    faces, hidden = [EntryCandidate(run.begin, run.sd) for run in soft], list[EntryCandidate]()
+    distance, soft = guide_distance or 0.0, [run for run in runs if run.behind_air]
+    faces, hidden = [EntryPlace(run.begin, run.sd) for run in soft], list[EntryPlace]()
+    behind = _list_behind_guides(runs, None, distance)
     first = f"{soft[0].length:.1f} mm of {soft[0].level:.0f} HU" if soft else "metal"
     doubt = f"the needle first enters {first}, which may be a guide"
     if guide_thickness:
@@ -101,18 +92,15 @@ def choose_entry(
         doubt = f"{len(certain) or 'no'} guides of {guide_thickness:g} mm show along the needle"
         for face in faces if len(faces) == 1 else ():  # behind a guide that looks as the tissue does
             guide, sd = (face.at, face.at + guide_thickness), float(np.hypot(face.sd, MM.MODEL_SD))
-            hidden.append(EntryCandidate(guide[1] + distance, sd, guide))
+            hidden.append(EntryPlace(guide[1] + distance, sd, guide))
     elif guide_thickness == 0:
         certain = faces[:1]
     else:
         certain = faces if soft and is_soft_tissue(soft[0].level) else []
-    if len(certain) == 1:
-        return certain[0]
-    behind = _list_behind_guides(runs, None, distance)
     # what is no soft tissue is more likely a guide
     likely = certain or hidden or (behind[:1] if guide_thickness is None else faces) or faces or behind
-    if not likely:
-        return None
+    if len(certain) == 1 or not likely:
+        return EntryChoice(tuple(certain))
     answers = likely[-1:]
     for other in sorted([*certain, *hidden, *faces, *behind], key=lambda other: -other.at):
         if other.at < tip and all(abs(other.at - answer.at) > MM.MATCH for answer in answers):
@@ -131,18 +119,18 @@ def choose_entry(
         "tissue); or place the entry (--corrections)",
         where="guide.thickness_mm",
     )
-    return replace(answers[0], doubt=error, answers=tuple(answers))
+    return EntryChoice(tuple(answers), error)
 
 
 def _list_behind_guides(
     runs: Sequence[MaterialRun], thickness: float | None, distance: float
-) -> list[EntryCandidate]:
+) -> list[EntryPlace]:
     """Return the entries behind solids of a thickness, mm; None: behind the first material of each solid.
 
-    Behind a solid the tissue begins at the next face, or, if it lies on the tissue, `distance` behind it.
-    Blur moves both faces of metal outwards alike: their middle is right.
+    Behind a solid the tissue begins where soft material follows air, or, if it lies on the tissue, `distance`
+    behind it. Blur moves both faces of metal outwards alike: their middle is right.
     """
-    entries, faces = list[EntryCandidate](), find_faces(runs)
+    entries = list[EntryPlace]()
     for n, first in enumerate(runs):
         metal = first.kind == "metal"
         if first.rise < HU.METAL_CONTRAST and (n or not metal):  # the image may begin in it
@@ -156,26 +144,24 @@ def _list_behind_guides(
         if not ends:
             continue
         stated = ends[0].begin - first.begin if thickness is None else thickness
-        after = min(ends, key=lambda run: abs(run.begin - first.begin - stated))
-        excess = after.begin - first.begin - stated
+        end = min(ends, key=lambda run: abs(run.begin - first.begin - stated))
+        excess = end.begin - first.begin - stated
         begin = first.begin + metal * excess / 2
         guide = begin, begin + stated
-        behind = runs[runs.index(after) + 1 :]
-        change = next((run for run in behind if run in faces or run.rise <= -HU.METAL_CONTRAST), None)
-        face = change if change in faces else None  # not behind a cavity of the tissue
+        deeper = [run for run in runs if run.begin > end.begin]
+        changes = [run for run in deeper if run.behind_air or run.rise <= -HU.METAL_CONTRAST]
+        face = [run for run in changes[:1] if run.behind_air]  # not behind a cavity of the tissue
         # streaks widen steel, and hide its length where air follows; by more than its length a gap does
         cut = first.level > PART.BRIGHTEST * HU.CLIPPED
-        longest = max(MM.MATCH, min(2 * MM.BLUR_REACH, stated)) if cut else MM.MATCH
-        if metal and face:
-            longest = max(longest, stated)
-        if not -MM.MATCH <= excess <= longest:
+        longest = stated if metal and face else min(2 * MM.BLUR_REACH, stated) if cut else 0.0
+        if not -MM.MATCH <= excess <= max(MM.MATCH, longest):
             continue
         if face:
-            entries.append(EntryCandidate(face.begin, face.sd, guide))
-        elif after.kind == "soft" and (n or thickness is None):
+            entries.append(EntryPlace(face[0].begin, face[0].sd, guide))
+        elif end.kind == "soft" and (n or thickness is None):
             # the end errs by half of the excess, and by a film of air that hardly shows
-            film = after.length / np.sqrt(12) if after.length < MM.MATCH else 0.0
+            film = end.length / np.sqrt(12) if end.length < MM.MATCH else 0.0
             hidden = MM.HIDDEN_FACE_SD if thickness is None else 0.0 if metal else excess / 2
             sd = float(np.linalg.norm([first.sd, film, hidden, MM.MODEL_SD]))
-            entries.append(EntryCandidate(guide[1] + distance, sd, guide))
+            entries.append(EntryPlace(guide[1] + distance, sd, guide))
     return entries

@@ -3,9 +3,6 @@
 Soft is what lies between air and metal: tissue, a gel, the plastic of a guide or of a hub.
 """
 
-from collections.abc import Sequence
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
@@ -77,7 +74,10 @@ def list_materials(profile: IntensityProfile, tip: float) -> tuple[MaterialRun, 
         # blur brightens the air of a narrow gap; foam and lung are no air
         air = HU.GAP if end - begin < 2 * MM.BLUR_REACH else HU.LIGHT
         kind: MaterialKind = "metal" if level > HU.METAL else "air" if level < air else "soft"
-        runs.append(MaterialRun(kind, begin, end, level, sd, rise))
+        # near metal streaks brighten air
+        bright = rise >= HU.METAL_CONTRAST and any(run.kind == "metal" for run in runs)
+        behind_air = bool(runs) and kind == "soft" and (runs[-1].kind == "air" or bright)
+        runs.append(MaterialRun(kind, begin, end, level, sd, rise, behind_air))
     return tuple(runs)
 
 
@@ -132,13 +132,3 @@ def _fit_edge(s: Floats, values: Floats, last: float, place: float, following: f
     alike = correlation_factor((values - show(s, *best))[:, None], SAMPLES * len(best))
     sd = min(np.sqrt(covariance[0, 0] * alike), max(MM.STATION, best[1]) / np.sqrt(12))
     return float(best[0]), float(np.hypot(sd, PART.EDGE_SD * best[1]))
-
-
-def find_faces(runs: Sequence[MaterialRun]) -> list[MaterialRun]:
-    """Return the runs of soft material that begin behind air; near metal streaks brighten that."""
-    faces, metal = list[MaterialRun](), False
-    for last, run in pairwise(runs):
-        metal |= last.kind == "metal"
-        if run.kind == "soft" and (last.kind == "air" or (metal and run.rise >= HU.METAL_CONTRAST)):
-            faces.append(run)
-    return faces

@@ -16,7 +16,7 @@ from needlefit.geometry.shaft import fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.constants import MM
 from needlefit.imaging.entry import locate_entry
-from needlefit.imaging.reconstruction import EntryCandidate, EntryPose, NeedleImage
+from needlefit.imaging.reconstruction import EntryPlace, EntryPose, NeedleImage
 from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import StagePose
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -24,7 +24,7 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 
 def estimate_first_contact(
     image: NeedleImage, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
-) -> tuple[EntryCandidate, EntryPose, EntryPose | None]:
+) -> tuple[EntryPlace, EntryPose, EntryPose | None]:
     """Return where the tissue begins, the entry pose, and beside a stage the pose of the shaft, if it shows.
 
     DataError if the stage's pose is not the needle's; without a stage if the shaft or the entry is not known.
@@ -34,7 +34,7 @@ def estimate_first_contact(
         entry = locate_entry(image, surfaces, recipe)
         return entry, pose_from_shaft(image, entry, recipe), None
     pose = pose_from_stage(stage, image.registration)
-    entry = EntryCandidate(find_first_contact(image.whole_needle, pose), pose.along_sd)
+    entry = EntryPlace(find_first_contact(image.whole_needle, pose), pose.along_sd)
     with suppress(DataError):  # too little of it shows
         return entry, pose, pose_from_shaft(image, entry, recipe)
     return entry, pose, None
@@ -62,7 +62,7 @@ def pose_from_stage(stage: StagePose, registration: Registration | None) -> Entr
     )
 
 
-def pose_from_shaft(image: NeedleImage, entry: EntryCandidate, recipe: ReconstructionRecord) -> EntryPose:
+def pose_from_shaft(image: NeedleImage, entry: EntryPlace, recipe: ReconstructionRecord) -> EntryPose:
     """Return the pose of the axis on which the shaft was pushed; its origin is where that axis enters.
 
     DataError if too little of the shaft shows.

@@ -4,7 +4,7 @@
 `derive_reconstruction` finds from these the centreline in the world, the entry pose and the layers crossed.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,7 +30,7 @@ from needlefit.imaging.needle.follow import (
 from needlefit.imaging.needle.segmentation import Component, find_tubes, select_needle
 from needlefit.imaging.pose import estimate_first_contact
 from needlefit.imaging.reconstruction import (
-    EntryCandidate,
+    EntryChoice,
     IntensityProfile,
     MarkerResult,
     NeedleImage,
@@ -63,7 +63,7 @@ class Examination:
     scan: Scan
     curve: Floats | None = None  # (N, 3); where the needle is, LPS, mm: roughly until its axis is traced
     markers: MarkerResult | None = None
-    entry: EntryCandidate | None = None
+    choice: EntryChoice = field(default_factory=EntryChoice)
 
 
 class VolumeSearch:
@@ -107,7 +107,8 @@ def derive_reconstruction(image: NeedleImage, recipe: ReconstructionRecord) -> R
     errors = estimate_layer_errors(scan, recipe, sd, pose, image.registration)
     layers = find_crossed_layers(points, frame, surfaces, errors)
     return Reconstruction(
-        **{**vars(image), "entry": entry},
+        **vars(image),
+        entry=entry,
         pose=pose,
         shaft=shaft,
         frame=frame,
@@ -159,7 +160,7 @@ def examine(found: Examination, search: VolumeSearch, report: Note = no_note) ->
     profile = _sample_whole_profile(volume, axis.points, recipe)
     tip, thickness = float(arc_length(axis.points)[-1]), recipe.guide.thickness_mm
     passed = list_materials(profile, tip)
-    found.entry = choose_entry(passed, tip, thickness, scan.guide_distance)
+    found.choice = choose_entry(passed, tip, thickness, scan.guide_distance)
     registration = None
     if scan.markers is not None and found.markers is not None:
         stated, stated_sd = read_markers(scan.markers), recipe.markers.reference_sd_mm
@@ -171,7 +172,7 @@ def examine(found: Examination, search: VolumeSearch, report: Note = no_note) ->
         needle_axis=axis,
         profile=profile,
         passed=passed,
-        entry=found.entry,
+        choice=found.choice,
         markers=found.markers,
         registration=registration,
     )

@@ -67,6 +67,7 @@ class MaterialRun:
     level: float  # median of the surroundings, HU
     sd: float  # deviation of where it begins, mm
     rise: float  # by which the brightness rises there, HU
+    behind_air: bool  # whether it is soft and follows air, as tissue does; near metal streaks brighten that
 
     @property
     def length(self) -> float:
@@ -75,16 +76,22 @@ class MaterialRun:
 
 
 @dataclass(frozen=True)
-class EntryCandidate:
-    """A place where the tissue may begin."""
+class EntryPlace:
+    """Where the tissue begins, or may begin."""
 
     # Along the needle from its first point, and its deviation, mm.
     at: float
     sd: float
     guide: tuple[float, float] | None = None  # where the guide before it begins and ends, likewise
-    doubt: DataError | None = None  # why only a person can decide whether it is the entry
-    answers: tuple["EntryCandidate", ...] = ()  # then the places to choose from, this one first
     confirmed: str = ""  # what was in doubt, and which answer a person gave; empty if nothing was
+
+
+@dataclass(frozen=True)
+class EntryChoice:
+    """The places where the tissue may begin, the likeliest first; none where nothing shows it."""
+
+    entries: tuple[EntryPlace, ...] = ()
+    doubt: DataError | None = None  # why only a person can decide; None: the first is the entry
 
 
 @dataclass(frozen=True)
@@ -127,7 +134,7 @@ class NeedleImage:
     needle_axis: Centerline  # the whole needle, LPS
     profile: IntensityProfile
     passed: tuple[MaterialRun, ...]  # what the needle passes
-    entry: EntryCandidate | None  # where the tissue begins; None where nothing shows it
+    choice: EntryChoice  # where the brightness shows that the tissue begins
     markers: MarkerResult | None = None  # None where the world is the patient frame
     registration: Registration | None = None  # likewise
 
@@ -146,7 +153,7 @@ class NeedleImage:
 class Reconstruction(NeedleImage):
     """The complete reconstruction of one scan."""
 
-    entry: EntryCandidate  # where the tissue begins
+    entry: EntryPlace  # where the tissue begins
     pose: EntryPose
     shaft: EntryPose | None  # by the shaft outside the tissue, beside a stage; None where too little shows
     frame: Frame  # the constraint frame C in the world
