@@ -3,6 +3,10 @@
 Soft is what lies between air and metal: tissue, a gel, the plastic of a guide or of a hub.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
@@ -79,6 +83,18 @@ def list_materials(profile: IntensityProfile, tip: float) -> tuple[MaterialRun, 
         behind_air = bool(runs) and kind == "soft" and (runs[-1].kind == "air" or bright)
         runs.append(MaterialRun(kind, begin, end, level, sd, rise, behind_air))
     return tuple(runs)
+
+
+def cut_runs(runs: Sequence[MaterialRun], place: float) -> tuple[MaterialRun, ...]:
+    """Return runs of which one begins at a `place`, mm: the nearest change moves there, or a run is cut."""
+    seen = min((run.begin for run in runs), key=lambda begin: abs(begin - place))
+    moved = {seen: place} if abs(seen - place) <= MM.MATCH else {}
+    parts = list[MaterialRun]()
+    for run in runs:
+        begin, end = moved.get(run.begin, run.begin), moved.get(run.end, run.end)
+        ends = sorted({begin, float(np.clip(place, begin, end)), end})
+        parts += [replace(run, begin=first, end=last) for first, last in pairwise(ends)]
+    return tuple(parts)
 
 
 def _find_changes(s: Floats, values: Floats) -> tuple[Floats, Floats]:

@@ -18,7 +18,7 @@ from needlefit.imaging.constants import MM
 from needlefit.imaging.entry import choose_entry
 from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
 from needlefit.imaging.markers import find_markers, is_list_of_points, read_markers, refine_fiducials
-from needlefit.imaging.materials import list_materials, sample_profile
+from needlefit.imaging.materials import cut_runs, list_materials, sample_profile
 from needlefit.imaging.needle.centerline import refuse_fold, trace_needle
 from needlefit.imaging.needle.follow import (
     follow_points,
@@ -104,10 +104,11 @@ def derive_reconstruction(image: NeedleImage, recipe: ReconstructionRecord) -> R
     points, sd = interpolate_at_arc(world, stations), np.interp(stations, along, image.needle_axis.sd)
     toward = find_bending_direction(points, pose.direction) if scan.bevel is None else scan.bevel
     frame = make_entry_frame(pose.origin, pose.direction, toward)
+    passed = cut_runs(image.passed, entry.at) if entry.confirmed else image.passed
     errors = estimate_layer_errors(scan, recipe, sd, pose, image.registration)
     layers = find_crossed_layers(points, frame, surfaces, errors)
     return Reconstruction(
-        **vars(image),
+        **{**vars(image), "passed": passed},
         entry=entry,
         pose=pose,
         shaft=shaft,
