@@ -111,7 +111,7 @@ def test_segments_that_are_not_those_of_the_voxels_are_refused(tmp_path, parts, 
         (lambda p: 0 * p[:, 0], "holds 0 values"),
         (lambda p: 100 * p[:, 0], "no labels"),
         (lambda p: np.rint(np.abs(p[:, 0]) * 20), "values besides 0"),
-        (lambda p: 1 + (np.linalg.norm(p, axis=1) < 0.9), "layer 2.* 0.6 mm"),
+        (lambda p: 1 + (np.linalg.norm(p, axis=1) < 0.9), "layer 2.* 0.5 mm"),
     ],
 )
 def test_files_without_a_segmentation_or_with_a_speck_for_a_layer_are_refused(tmp_path, values, words):

@@ -91,8 +91,8 @@ def choose_entry(
         certain = _list_behind_guides(runs, guide_thickness, distance)
         doubt = f"{len(certain) or 'no'} guides of {guide_thickness:g} mm show along the needle"
         for face in faces if len(faces) == 1 else ():  # behind a guide that looks as the tissue does
-            guide, sd = (face.at, face.at + guide_thickness), float(np.hypot(face.sd, MM.MODEL_SD))
-            hidden.append(EntryPlace(guide[1] + distance, sd, guide))
+            guide = face.at, face.at + guide_thickness
+            hidden.append(EntryPlace(guide[1] + distance, face.sd, guide))
     elif guide_thickness == 0:
         certain = faces[:1]
     else:
@@ -162,6 +162,6 @@ def _list_behind_guides(
             # the end errs by half of the excess, and by a film of air that hardly shows
             film = end.length / np.sqrt(12) if end.length < MM.MATCH else 0.0
             hidden = MM.HIDDEN_FACE_SD if thickness is None else 0.0 if metal else excess / 2
-            sd = float(np.linalg.norm([first.sd, film, hidden, MM.MODEL_SD]))
+            sd = float(np.linalg.norm([first.sd, film, hidden]))
             entries.append(EntryPlace(guide[1] + distance, sd, guide))
     return entries

@@ -42,13 +42,13 @@ def find_blobs(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | Non
     bright = volume.list_bright(float(levels[0]))
     # the diameter of a ball of one voxel's volume
     unit = (6 / np.pi * float(np.prod(volume.spacing))) ** (1 / 3)
-    least, largest = PART.BALL_DIAMETER * diameter, diameter + MM.BLUR_REACH
-    sizes = max(4.0, (least / unit) ** 3), max(4.0, (largest / unit) ** 3)
+    widths = np.array([diameter / PART.CLEAR, diameter + MM.BLUR_REACH])
+    least, largest = np.maximum((widths / unit) ** 3, 4.0).tolist()
     blobs = list[Blob]()
     for level in levels.tolist():
         if np.count_nonzero(bright.values > level) > MAX_LISTED_VOXELS:
             continue
-        for voxels in bright.list_parts(level, sizes, without=exclude):
+        for voxels in bright.list_parts(level, (least, largest), without=exclude):
             middle = to_patient(volume, voxels.mean(axis=0)[None])[0]
             blobs.append(Blob(voxels, level, unit * len(voxels) ** (1 / 3), middle))
     return sorted(blobs, key=lambda blob: abs(np.log(blob.diameter / diameter)))

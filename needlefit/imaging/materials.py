@@ -66,15 +66,16 @@ def list_materials(profile: IntensityProfile, tip: float) -> tuple[MaterialRun, 
     s = np.arange(first, last, MM.STATION / SAMPLES)
     values = np.interp(s, profile.s[visible], profile.around[visible])
     places, rises = _find_changes(s, values)
-    levels = [np.median(part) for part in np.split(values, np.searchsorted(s, places))]
+    levels = [float(np.median(part)) for part in np.split(values, np.searchsorted(s, places))]
     ends, edges = [-np.inf, *places.tolist(), np.inf], list[tuple[float, float]]()
     for n, rise in enumerate(rises.tolist(), start=1):
         metal = abs(rise) >= 2 * HU.METAL  # its face is no error function
         edges.append((ends[n], MM.HIDDEN_FACE_SD) if metal else _fit_edge(s, values, *ends[n - 1 : n + 2]))
-    begins, sds = np.array([(first, 0.0), *edges]).T
-    rows = np.stack([begins, np.append(begins[1:], tip), levels, sds, np.append(0.0, rises)], axis=1)
+    begins, sds = zip((first, 0.0), *edges, strict=True)
     runs = list[MaterialRun]()
-    for begin, end, level, sd, rise in rows.tolist():
+    for begin, end, level, sd, rise in zip(
+        begins, (*begins[1:], tip), levels, sds, (0.0, *rises.tolist()), strict=True
+    ):
         # blur brightens the air of a narrow gap; foam and lung are no air
         air = HU.GAP if end - begin < 2 * MM.BLUR_REACH else HU.LIGHT
         kind: MaterialKind = "metal" if level > HU.METAL else "air" if level < air else "soft"
@@ -112,10 +113,7 @@ def _find_changes(s: Floats, values: Floats) -> tuple[Floats, Floats]:
     before = values[np.maximum(steepest - apart, middles[:-1])]
     behind = values[np.minimum(steepest + apart, middles[1:])]
     places, rises = s[steepest], behind - before
-    close = np.abs(places - places[:, None]) <= MM.MATCH
-    # what sharp kernels show beside a change is none
-    overshoot = (close & (np.abs(rises)[:, None] <= PART.OVERSHOOT * np.abs(rises))).any(axis=1)
-    use = (np.abs(rises) >= HU.STEP) & ~overshoot
+    use = np.abs(rises) >= HU.STEP
     return places[use], rises[use]
 
 
@@ -147,4 +145,4 @@ def _fit_edge(s: Floats, values: Floats, last: float, place: float, following: f
     )
     alike = correlation_factor((values - show(s, *best))[:, None], SAMPLES * len(best))
     sd = min(np.sqrt(covariance[0, 0] * alike), max(MM.STATION, best[1]) / np.sqrt(12))
-    return float(best[0]), float(np.hypot(sd, PART.EDGE_SD * best[1]))
+    return float(best[0]), float(np.hypot(sd, MM.MODEL_SD))

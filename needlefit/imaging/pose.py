@@ -71,10 +71,10 @@ def pose_from_shaft(image: NeedleImage, entry: EntryPlace, recipe: Reconstructio
     free = image.scan.guide_distance or recipe.needle.length_mm - s[-1]  # from where the shaft is clamped
     use = s < -MM.BLUR_CORE
     length = float(np.ptp(s[use])) if use.any() else 0.0
-    if length < MM.SHAFT:
+    if length < MM.HUB_LENGTH:
         raise DataError(
             f"{length:.1f} mm of the shaft show outside the tissue, too few to draw its axis",
-            expected=f"at least {MM.SHAFT:g} mm, or the pose of the stage",
+            expected=f"at least {MM.HUB_LENGTH:g} mm, or the pose of the stage",
             fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle",
         )
     s, points, sd = s[use], image.whole_needle[use], image.needle_axis.sd[use]
@@ -91,17 +91,15 @@ def find_first_contact(points: Floats, pose: EntryPose) -> float:
     DataError if they do not cross it near the place stated.
     """
     along, s = (points - pose.origin) @ pose.direction, arc_length(points)
-    before = np.flatnonzero((along[:-1] < 0) & (along[1:] >= 0))[:1]
-    at = s[before] - along[before] / (along[before + 1] - along[before]) * (s[before + 1] - s[before])
-    apart = np.linalg.norm(interpolate_at_arc(points, at) - pose.origin, axis=1)
-    if not (apart <= MAX_START_DISTANCE_MM).any():
-        crossed = f", whose plane it crosses {apart[0]:.1f} mm from it" if len(apart) else ""
+    at = float(np.interp(0.0, along, s))  # a needle goes on into the tissue
+    (apart,) = np.linalg.norm(interpolate_at_arc(points, np.array([at])) - pose.origin, axis=1)
+    if not along[0] < 0 <= along[-1] or apart > MAX_START_DISTANCE_MM:
         raise DataError(
-            f"the needle does not pass the entry{crossed}: it lies {along.min():.1f} to {along.max():.1f} mm "
-            "from it along the entry direction",
+            f"the needle does not pass the entry but {apart:.1f} mm from it: it lies {along.min():.1f} to "
+            f"{along.max():.1f} mm from it along the entry direction",
             expected=f"an entry within {MAX_START_DISTANCE_MM:g} mm of the needle, between its base and its "
             "tip, and a direction into the tissue",
             fix="check entry_x_mm ... entry_dz, their frame (the world of the markers), and the sign of the "
             "direction; and the known places of the markers",
         )
-    return float(at[0])
+    return at

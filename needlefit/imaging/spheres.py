@@ -144,7 +144,7 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float) -> SphereFit:
     near = select_voxels(volume, blob, radius)
     theta, residuals, covariance = _fit_model(near)
     spread = read_spread(theta[SPREAD])
-    height = _find_height(near, theta)
+    height = max(1.0, float(min(np.exp(theta[HEIGHT]), near.ceiling) - theta[LEVEL]))  # as shown
     inside = np.linalg.norm(near.places - theta[CENTER], axis=1) < radius + near.spacing.max()
     misfit = float(np.linalg.norm(residuals[inside]) / np.sqrt(inside.sum() or 1)) / height
     # thick slices average rays before the logarithm
@@ -168,17 +168,12 @@ def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
     reach = radius + MM.MATCH * max(1.0, float(spacing.max()))
     ijk, values = list_voxels_near(volume, blob.middle[None], reach)
     places = (to_patient(volume, ijk) - blob.middle) @ axes
-    own = np.isin(*(np.ravel_multi_index(tuple(part.T), volume.grid.size) for part in (ijk, blob.voxels)))
-    others, use = (values > blob.level) & ~own, np.linalg.norm(places, axis=1) <= reach
+    others = (values > blob.level) & (cKDTree(blob.voxels).query(ijk)[0] > 0)
+    use = np.linalg.norm(places, axis=1) <= reach
     if others.any():
         use &= cKDTree(places[others]).query(places)[0] > MM.BLUR_CORE
     every = int(np.ceil(np.count_nonzero(use) / MAX_FITTED_VOXELS))
     return SphereVoxels(places[use][::every], values[use][::every], radius, spacing, axes, *find_cuts(values))
-
-
-def _find_height(near: SphereVoxels, theta: Floats) -> float:
-    """Return by how much a ball is brighter than its surroundings, as shown, HU."""
-    return max(1.0, float(min(np.exp(theta[HEIGHT]), near.ceiling) - theta[LEVEL]))
 
 
 def _fit_model(near: SphereVoxels) -> tuple[Floats, Floats, Floats]:
@@ -200,8 +195,10 @@ def _fit_model(near: SphereVoxels) -> tuple[Floats, Floats, Floats]:
         left = (render_sphere(near, theta) - near.values) / noise
         return np.append(left, (theta[KNOWN] - means) / sds)
 
-    def fit(theta: Floats, noise: float) -> OptimizeResult:
-        return least_squares(
+    noise, count = PART.FIRST_NOISE * max(min(1.5 * peak, near.ceiling) - low, 1.0), len(near.values)
+    alike = max(1.0, MM.BLUR_CORE**3 / float(np.prod(near.spacing)))
+    for _ in range(2):
+        best: OptimizeResult = least_squares(
             find_residuals,
             np.clip(theta, LOWER_BOUNDS + 1e-6, UPPER_BOUNDS - 1e-6),
             bounds=(LOWER_BOUNDS, UPPER_BOUNDS),
@@ -212,10 +209,6 @@ def _fit_model(near: SphereVoxels) -> tuple[Floats, Floats, Floats]:
             max_nfev=40,
             args=(noise,),
         )
-
-    noise, count = PART.FIRST_NOISE * _find_height(near, theta), len(near.values)
-    best = fit(theta, noise)
-    alike = max(1.0, MM.BLUR_CORE**3 / float(np.prod(near.spacing)))
-    noise = max(1.0, noise * robust_sd(best.fun[:count])) * np.sqrt(alike)
-    best = fit(best.x, noise)
-    return best.x, noise * best.fun[:count], np.linalg.pinv(best.jac.T @ best.jac, hermitian=True)
+        theta, residuals = best.x, noise * best.fun[:count]
+        noise = max(1.0, robust_sd(residuals)) * np.sqrt(alike)
+    return theta, residuals, np.linalg.pinv(best.jac.T @ best.jac, hermitian=True)
