@@ -135,12 +135,7 @@ def _list_behind_guides(
         metal = first.kind == "metal"
         if first.rise < HU.METAL_CONTRAST and (n or not metal):  # the image may begin in it
             continue
-        solid = [*takewhile(lambda run: run.kind != "air", runs[n:])]
-        ends = [
-            run
-            for run in runs[n + 1 : n + len(solid) + 1]
-            if (-run.rise >= HU.METAL_CONTRAST if metal else abs(run.rise) >= HU.GUIDE_STEP)
-        ]
+        ends = _list_ends(runs[n:])
         if not ends:
             continue
         stated = ends[0].begin - first.begin if thickness is None else thickness
@@ -165,3 +160,15 @@ def _list_behind_guides(
             sd = float(np.linalg.norm([first.sd, film, hidden]))
             entries.append(EntryPlace(guide[1] + distance, sd, guide))
     return entries
+
+
+def _list_ends(runs: Sequence[MaterialRun]) -> list[MaterialRun]:
+    """Return what may follow a guide that begins with the first of some runs, up to the next air.
+
+    Metal ends where the brightness falls, another guide where it changes by more than between two tissues.
+    """
+    solid = [*takewhile(lambda run: run.kind != "air", runs)]
+    following = runs[1 : len(solid) + 1]
+    if runs[0].kind == "metal":
+        return [run for run in following if -run.rise >= HU.METAL_CONTRAST]
+    return [run for run in following if abs(run.rise) >= HU.GUIDE_STEP]
