@@ -43,6 +43,7 @@ class PointSpread:
     slice_blur: float
     # Standard deviations of `parameters`.
     sds: tuple[float, ...] = EXPECTED_SDS
+    box: float = PART.BOX
 
     @property
     def parameters(self) -> Floats:
@@ -57,12 +58,12 @@ class PointSpread:
     def pass_across(self, frequency: Reals) -> Reals:
         """Return what passes of angular frequencies along the slices' normal, 1/mm."""
         y = frequency * self.slice_blur
-        box = np.sinc(y * float(np.sqrt(3 * PART.BOX) / np.pi))
-        return np.exp(-(y**2) * ((1 - PART.BOX) / 2)) * box
+        box = np.sinc(y * float(np.sqrt(3 * self.box) / np.pi))
+        return np.exp(-(y**2) * ((1 - self.box) / 2)) * box
 
     def weigh_planes(self, away: Floats) -> Floats:
         """Return the sensitivity of a slice at distances from its middle, mm, over that of its middle."""
-        half, edge = np.sqrt(3 * PART.BOX) * self.slice_blur, np.sqrt(1 - PART.BOX) * self.slice_blur
+        half, edge = np.sqrt(3 * self.box) * self.slice_blur, np.sqrt(1 - self.box) * self.slice_blur
         return (ndtr((half - away) / edge) - ndtr((-half - away) / edge)) / (2 * ndtr(half / edge) - 1)
 
 

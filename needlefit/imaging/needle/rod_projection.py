@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.sparse import csr_array
+from scipy.special import expit
 
 from needlefit.arrays import Floats
 from needlefit.imaging.point_spread import PointSpread
@@ -13,8 +14,6 @@ from needlefit.imaging.point_spread import PointSpread
 COLUMN_MM = 0.75  # length (mm) of the pieces of the rod along it
 CELL_MM = 0.25  # width (mm) of the cells of the detector, and largest distance of planes
 PLANE_STEP = 6  # divisor of the number of planes of a slice
-# distances from a slice's middle, in slices, between which the logarithm of its sensitivity is linear
-SENSITIVITY_AT = np.arange(PLANE_STEP) / PLANE_STEP
 VIEW_STEP = 0.013  # smallest angle (rad) between views
 VIEW_GROWTH = 0.13  # growth of that angle, per angle to the needle
 WATER_PER_MM = 0.02  # attenuation of water (1/mm)
@@ -67,7 +66,7 @@ class Rod:
     @cached_property
     def _ramp(self) -> tuple[Floats, Floats]:
         """Frequencies, 1/mm, and the ramp, sampled in space: in frequency that would shift the mean."""
-        length = next_fast_len(4 * self.half, real=True)
+        length = next_fast_len(3 * self.half, real=True)  # beyond these cells the ramp is small
         n = np.concatenate([np.arange(length // 2 + 1), np.arange(length // 2 + 1 - length, 0)])
         ramp = np.where(n % 2, -1 / (np.pi * np.where(n == 0, 1, n) * CELL_MM) ** 2, 0.0)
         ramp[0] = 1 / (2 * CELL_MM) ** 2
@@ -148,12 +147,13 @@ class Rod:
     def show(self, metal: csr_array, scan: Floats, aside: float = 0.0) -> Floats:
         """Return the slices (K, S, U), water 1, over their surroundings, where `metal` is on their rays.
 
-        `scan`: (11,); see `slice_fit`.
+        They are shown `aside` mm beside the samples. `scan`: (8,); see `slice_fit`.
         """
         attenuation, variance, scatter, linear, blur = np.exp(scan[:5])
-        spread = PointSpread(float(blur), float(scan[5]), self.thick)
+        boost, slice_blur, edge = scan[5:]
+        spread = PointSpread(float(blur), float(boost), float(np.exp(slice_blur)), box=float(expit(-edge)))
         away = np.abs(np.arange(1 - self.in_slice, self.in_slice)) / self.in_slice
-        profile = np.exp(np.interp(away, SENSITIVITY_AT, [0.0, *scan[6:]]))
+        profile = spread.weigh_planes(away * self.thick)
         mix = np.zeros((len(self.heights), len(self.planes)), dtype=np.float32)
         for k, row in enumerate(mix):
             row[k * self.in_slice : k * self.in_slice + len(profile)] = profile / profile.sum()

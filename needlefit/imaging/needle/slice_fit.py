@@ -12,27 +12,27 @@ and 0.08 too far), in 17 s of processor each (1.3). Five needles within 10 degre
 mm have axes off by 0.019 mm in the median (by cross-sections 0.034 of three, two were refused).
 
 Where a needle lies flat, least squares have several minima: its axis bends from one slice to the next, or
-beside the rays that cross it. From the axes that were traced of ten volumes (`--seeds 3100:3112`) fits led to
-minima at 1.1 to 2.6 times the cost of those near the true axis. Hence fits begin again where moves of the
-axis along the normal, or of its end, cost least, until none ends lower. Moves across, too, lead the needle of
-one sharp kernel away; the least certain directions of the fit lead to no other minimum. The path is searched
-with a coarser rod, too, whose misfit has other minima, and with less attenuation: with one search alone the
-axes of four needles of 60 lay 0.1 to 0.4 mm farther off.
+beside the rays that cross it, or lies where another profile of the slices shows the same. Hence the axis is
+moved as a whole and in part, with a coarse rod and with a fine one, and the scan's parameters are fitted
+where that leads; and fits begin again at moves along the normal, and of the end, until none ends lower. Of
+54 volumes (`--seeds 3200:3216`, `3300:3316`, `3400:3424`) axes are off by 0.05 mm in the mean, by 0.3 at
+most. With a profile of five free parameters one was off by 0.75 mm; without moves of its end a tip was 2 mm
+short; where the search moves one end of the axis alone, too, two axes were off by 0.15 mm.
 
 Metal elsewhere in the slices is not modelled: without it tips of two volumes err by 0.04 and 0.08 mm (with it
 by 0.11 and 0.12).
 """
 
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from itertools import cycle
-from typing import Self
+from operator import attrgetter
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates
-from scipy.optimize import OptimizeResult, least_squares
+from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
 from needlefit.arrays import Bools, Floats
@@ -43,7 +43,7 @@ from needlefit.imaging.constants import MM, PART, SCANNER, SD
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
 from needlefit.imaging.needle.follow import STEP_MM
 from needlefit.imaging.needle.hub import Hub, find_hub
-from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, VIEW_GROWTH, VIEW_STEP, Rod
+from needlefit.imaging.needle.rod_projection import COLUMN_MM, VIEW_GROWTH, VIEW_STEP, Rod
 from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, ROLL_FACTOR, START_ENDS_MM, TipFit, point_bevel
 from needlefit.imaging.point_spread import PointSpread, expected_spread, robust_sd
 from needlefit.imaging.volume import Volume, to_index
@@ -54,10 +54,10 @@ REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices
 KNOT_FACTOR = 1.6  # distance of the knots over that of the axis
 # A needle between supports is a beam: the third derivative of its axis is the shear force over its stiffness.
 SHEAR_SD_MM2 = 4e-5  # SD of the shear force over Young's modulus (mm2): 8 N in steel
-# parameters of the beam, as logarithms. Then follow the blur's logarithm and the boost, and logarithms of the
-# sensitivity of planes of a slice over that of its middle; both as the point spread has them.
+# Parameters of the beam, as logarithms. The point spread's follow, and the logarithm of the variance of a
+# Gaussian over that of a box, which together make a slice's profile.
 BEAM = (SCANNER.ATTENUATION, SCANNER.HARDENING, SCANNER.SCATTER, SCANNER.LINEARITY)
-PROFILE_SDS = (0.4, 0.4, 0.5, 1.0, 1.5)  # prior SDs of the logarithms of the sensitivity
+PROFILE_SDS = (0.2, 0.6)  # prior SDs of the slice's blur and of that ratio, as logarithms
 TIP_SDS = np.array([1.0, 10.0])  # prior SDs of where the needle ends (mm), and of its bevel's roll (rad)
 # sizes of moves: of the axis along the normal in slices, across in mm, of its end in mm
 MOVE_SIZES = (0.4, 0.15)
@@ -69,7 +69,6 @@ FIRST_ROBUST_SD = 20.0
 ROBUST_SD = 4.0
 STEP = 0.05  # step of the difference quotients
 VIEW_PART = 0.2  # angle between views along the needle over that at which a ray leaves it within a slice
-CLEAR_START = -1.5  # logarithm of the attenuation over the expected one, with which a search begins, too
 STEPS = 8  # largest number of steps of a fit
 ROUGH_FACTOR = 2.0  # factor on the rod's pieces and on the angles of views while its path is searched
 # the model's error in a fit: in water, and as a fraction of the image
@@ -77,8 +76,8 @@ MODEL_ERRORS = (0.15, 0.25)
 CORRELATED_SAMPLES = 10.0  # number of samples that count as one
 # SDs of the axis (slices) that no residual shows: where it does not cross a slice, and per relative misfit of
 # the image; at the needle's end they are larger by a factor. Set on `benchmarks/real_scanners.py --seeds
-# 3100:3116` and `3300:3340`; on `3200:3216` and `3400:3424` errors of tips over SDs are 0.8 along the needle,
-# 0.7 and 0.8 across, in root mean square.
+# 3100:3116` and `3300:3340`; on the 54 volumes above errors of tips over SDs are 0.9 along the needle, 0.8 and
+# 0.6 across, in root mean square.
 MIRROR_SD = 0.15
 MISFIT_SD = 0.07
 END_FACTOR = 4.0
@@ -116,8 +115,9 @@ def place_in_slices(
     problem = _SliceProblem(volume, needle, frame, origin, (x, y, z), spread, hub)
     if np.count_nonzero(problem.seen.any(axis=0)) < 2 * len(problem.start):
         return None
-    fine = problem.place_rod(1.0)
-    theta, covariance, error = fine.solve([problem.place_rod(ROUGH_FACTOR).search(), fine.search()])
+    rough, fine = problem.place_rod(ROUGH_FACTOR), problem.place_rod(1.0)
+    start = fine.search(rough.search(np.concatenate([*problem.start.T, [0.0, 0.0], problem.means])))
+    theta, covariance, error = fine.solve(start)
     across, along, (end, roll), scan = problem.split(theta)
     transparent = scan[0] < problem.means[0] - SD.DISAGREEMENT * problem.sds[0]
     if transparent and hub is None and error > PART.END_MISFIT:
@@ -153,6 +153,14 @@ def _extend(spline: BSpline, x: Floats) -> Floats:
     return spline(inside) + spline.derivative()(inside) * (x - inside)[:, None]
 
 
+class _Minimum(NamedTuple):
+    """Parameters `theta` (P,) that fit slices best near a start."""
+
+    misfit: float
+    theta: Floats
+    slopes: Floats  # (R, P); of the residuals
+
+
 class _SliceProblem:
     """What slices (K,) show on lines (U,) across the needle at stations (S,), and what a rod would show.
 
@@ -162,6 +170,7 @@ class _SliceProblem:
     to_columns: Floats  # (columns, C) from coefficients to the axis at the pieces of the rod
     end: float  # about where the needle ends, mm
     rod: Rod
+    projected: tuple[Floats, csr_array]  # parameters of the needle that was projected last, its metal
     held: csr_array  # the hub on the rays
 
     def __init__(
@@ -190,6 +199,8 @@ class _SliceProblem:
         course = [fit(places[:, 0], places[:, n], degree)(x) for n, degree in ((1, 3), (2, 2))]
         start = np.linalg.lstsq(_extend(basis, x), np.stack(course, axis=1))[0]
         self.start: Floats = np.asarray(start, float)  # (C, 2)
+        self.first_of_scan = start.size + 2
+        self.projected = np.empty(0), csr_array((0, 0))
         line = np.arange(-MM.PATCH, MM.PATCH + 1e-6, LINE_STEP_MM)
         height = self.at @ self.start[:, 1] / thick
         last = volume.values.shape[0] - 1
@@ -220,9 +231,9 @@ class _SliceProblem:
         self.view_step = max(VIEW_STEP, VIEW_PART * needle.diameter_mm * slope / (needle.diameter_mm + thick))
         self.last, self.samples = x[-1], (thick, slices * thick, stations, side)
         expected = spread or expected_spread(thick)
-        profile = np.log(expected.weigh_planes(SENSITIVITY_AT[1:] * thick))
-        # what is known of the parameters of the scan (11,), and its deviations
-        self.means = np.concatenate([np.log([part.value for part in BEAM]), expected.parameters[:2], profile])
+        known = [*expected.parameters, np.log(1 / PART.BOX - 1)]
+        # what is known of the parameters of the scan (8,), and its deviations
+        self.means = np.concatenate([np.log([part.value for part in BEAM]), known])
         self.sds = np.concatenate([[part.sd for part in BEAM], expected.sds[:2], PROFILE_SDS])
 
     def place_rod(self, rough: float) -> Self:
@@ -260,37 +271,45 @@ class _SliceProblem:
         return np.concatenate(known)
 
     def project(self, theta: Floats) -> csr_array:
-        """Return the metal on the rays."""
-        across, along, (end, roll), _ = self.split(theta)
-        course = self.to_columns @ across, self.to_columns @ along
-        needle = self.rod.lengths(*course, self.end + float(end), float(roll))
-        return needle if self.hub is None else needle + self.held
+        """Return the metal on the rays, which is kept while only parameters of the scan change."""
+        path = theta[: self.first_of_scan]
+        if not np.array_equal(path, self.projected[0]):
+            across, along, (end, roll), _ = self.split(theta)
+            course = self.to_columns @ across, self.to_columns @ along
+            metal = self.rod.lengths(*course, self.end + float(end), float(roll))
+            self.projected = path.copy(), metal if self.hub is None else metal + self.held
+        return self.projected[1]
 
-    def image(self, metal: csr_array, theta: Floats, aside: float = 0.0) -> Floats:
-        """Return what slices show (K, S, U) where `metal` is on the rays."""
-        over = self.rod.show(metal, self.split(theta)[-1], aside)
+    def image(self, theta: Floats, aside: float = 0.0) -> Floats:
+        """Return what slices show (K, S, U), `aside` mm beside their samples."""
+        over = self.rod.show(self.project(theta), self.split(theta)[-1], aside)
         over = over - over[..., self.rim].mean(axis=-1, keepdims=True)
         return np.clip(over + self.level, *self.cut)
 
-    def residuals(self, theta: Floats) -> Floats:
-        """Return what slices show and what is known, both in their deviations; neighbours count as one."""
-        left = (self.image(self.project(theta), theta) - self.shown) / self.scale
-        return np.append(left[self.seen].ravel() / np.sqrt(CORRELATED_SAMPLES), self.known(theta))
+    def weigh(self, image: Floats) -> Floats:
+        """Return an image (K, S, U) in its deviations, where slices are seen; neighbours count as one."""
+        return (image / self.scale)[self.seen].ravel() / np.sqrt(CORRELATED_SAMPLES)
 
-    def slopes(self, theta: Floats, scale: Floats) -> Floats:
-        """Return the derivatives of the residuals."""
-        count, metal = self.at.shape[1], self.project(theta)
-        here = self.image(metal, theta)
-        shift = (self.image(metal, theta, STEP) - here) / STEP
-        # approximate: the image is taken to move with the needle
-        slopes = [-shift * column[:, None] for column in self.at.T]
-        for n, step in enumerate(np.eye(len(theta))[count:] * STEP):
-            moved = self.project(theta + step) if n < count + 2 else metal
-            slopes.append((self.image(moved, theta + step) - here) / STEP)
-        scale = np.broadcast_to(scale, here.shape)[self.seen] * np.sqrt(CORRELATED_SAMPLES)
-        known = [self.known(unit) - self.known(0 * unit) for unit in np.eye(len(theta))]
-        pairs = zip(slopes, known, strict=True)
-        return np.stack([np.append((slope[self.seen] / scale).ravel(), row) for slope, row in pairs], axis=1)
+    def residuals(self, theta: Floats) -> Floats:
+        """Return what slices show and what is known, both in their deviations."""
+        return np.append(self.weigh(self.image(theta) - self.shown), self.known(theta))
+
+    def slopes(self, theta: Floats, first: int = 0) -> Floats:
+        """Return the derivatives of the residuals by the parameters from `first` on.
+
+        Across, the image is taken to move with the needle: its true derivatives lead to where the model errs.
+        """
+        here, known, count = self.residuals(theta), self.known(theta), self.at.shape[1]
+        steps = np.eye(len(theta)) * STEP
+        slopes = [(self.residuals(theta + step) - here) / STEP for step in steps[max(first, count) :]]
+        if first == 0:
+            shift = (self.image(theta, STEP) - self.image(theta)) / STEP
+            pairs = zip(self.at.T, steps, strict=False)
+            slopes[:0] = [
+                np.append(self.weigh(-shift * column[:, None]), (self.known(theta + step) - known) / STEP)
+                for column, step in pairs
+            ]
+        return np.stack(slopes, axis=1)
 
     def loss(self, squared: Floats) -> Floats:
         """Return Cauchy's loss of squared residuals (R,) of the image, and its derivatives (3, R)."""
@@ -298,33 +317,43 @@ class _SliceProblem:
         less = np.where(shown, 1 / (1 + squared), 1.0)
         return np.stack([np.where(shown, np.log1p(squared), squared), less, np.where(shown, -(less**2), 0.0)])
 
-    def descend(self, theta: Floats, robust: float = ROBUST_SD, steps: int = STEPS) -> OptimizeResult:
-        """Return the least squares near `theta`; residuals beyond `robust` deviations count less."""
-        evaluated: list[Floats] = []  # the last residuals: of where slopes are asked for
+    def descend(
+        self,
+        start: Floats,
+        steps: int = STEPS,
+        near: Floats | None = None,
+        first: int = 0,
+        robust: float = ROBUST_SD,
+    ) -> "_Minimum":
+        """Return the least squares near `start`.
+
+        `near`: the slopes near `start`, if they are known. Parameters before `first` stay.
+        """
+        residuals: list[Floats] = []  # the last ones: of where slopes are asked for
         last: list[Floats] = []  # where slopes were asked for last, with residuals and slopes
         turns = cycle(range(3))
 
-        def residuals(there: Floats) -> Floats:
-            evaluated[:] = [self.residuals(there)]
-            return evaluated[0]
+        def evaluate(there: Floats) -> Floats:
+            residuals[:] = [self.residuals(np.append(start[:first], there))]
+            return residuals[0]
 
-        # slopes serve two further steps, corrected by what each showed
-        def slopes(there: Floats) -> Floats:
-            if next(turns):
-                before, left, jacobian = last
-                step = there - before
-                weight = step * np.sum(jacobian**2, axis=0)
-                missed = evaluated[0] - left - jacobian @ step
-                jacobian = jacobian + np.outer(missed, weight / (weight @ step))
+        # slopes serve two further steps, or all, corrected by what each showed
+        def differentiate(there: Floats) -> Floats:
+            fresh = near is None and next(turns) == 0
+            if fresh or not last:
+                slopes = self.slopes(np.append(start[:first], there), first) if near is None else near
             else:
-                jacobian = self.slopes(there, self.scale)
-            last[:] = there, evaluated[0], jacobian
-            return jacobian
+                before, left, slopes = last
+                step = there - before
+                weight = step * np.sum(slopes**2, axis=0)
+                slopes = slopes + np.outer(residuals[0] - left - slopes @ step, weight / (weight @ step))
+            last[:] = there, residuals[0], slopes
+            return slopes
 
-        return least_squares(
-            residuals,
-            theta,
-            jac=slopes,
+        solved = least_squares(
+            evaluate,
+            start[first:],
+            jac=differentiate,
             loss=self.loss,  # type: ignore[arg-type]  # the stubs describe another function
             f_scale=robust / np.sqrt(CORRELATED_SAMPLES),
             x_scale="jac",
@@ -333,59 +362,62 @@ class _SliceProblem:
             gtol=PART.TOLERANCE,
             max_nfev=steps,
         )
+        return _Minimum(2 * float(solved.cost), np.append(start[:first], solved.x), last[2])
 
-    def search(self) -> Floats:
-        """Return about where the needle runs and ends, from where its axis was traced."""
-        opaque = np.concatenate([*self.start.T, [0.0, 0.0], self.means])
-        clear = opaque.copy()
-        clear[2 * len(self.start) + 2] += CLEAR_START
-        best = min(opaque, clear, key=self.misfit)
-        lowest, moves = self.misfit(best), self.moves
+    def search(self, best: Floats) -> Floats:
+        """Return where moves of axis and end from `best` lead, and the parameters of the scan there."""
+        across, normal, end = self.moves
+        moves = np.vstack([across[:-2], normal[:-2], end])  # of one end of the axis alone they lead astray
+        lowest = self.misfit(best)
         for size in MOVE_SIZES:
             improved = True
             while improved:
                 improved = False
-                for move in np.concatenate([*moves, *-moves]):
+                for move in [*moves, *-moves]:
                     if (cost := self.misfit(best + size * move)) < lowest:
                         best, lowest, improved = best + size * move, cost, True
-        return self.turn(best)
+        return self.descend(best, first=self.first_of_scan).theta
 
     @property
-    def moves(self) -> Floats:
-        """Moves of the axis (2, M, P), whole or in part: by 1 mm across, and by 1 slice along the normal."""
-        x, count = np.linspace(-1, 1, len(self.start)), len(self.start)
-        shapes = np.stack([np.ones_like(x), x, x**2 - 0.5, (x**2 - x) / 2, 1 - x**2, (x**2 + x) / 2])
-        steps = np.eye(2 * count, 2 * count + 2 + len(self.means))
-        return np.stack([shapes @ steps[:count], self.thick * shapes @ steps[count:]])
+    def moves(self) -> tuple[Floats, Floats, Floats]:
+        """Moves (M, P) of the axis by 1 mm across and by 1 slice along the normal, and of its end by 1 mm.
 
-    def solve(self, starts: Sequence[Floats]) -> tuple[Floats, Floats, float]:
-        """Return parameters near the best of `starts`, their covariance and the model's relative error."""
+        Of the axis as a whole, in part, and of one end.
+        """
+        x, count = np.linspace(0, 1, len(self.start)), len(self.start)
+        parts = [np.ones_like(x), 2 * x - 1, 4 * x * (1 - x), x**2, (1 - x) ** 2, x**6, (1 - x) ** 6]
+        unit = np.eye(self.first_of_scan + len(self.means))
+        across, normal = (parts @ unit[first : first + count] for first in (0, count))
+        return across, self.thick * normal, unit[2 * count : 2 * count + 1]
+
+    def solve(self, start: Floats) -> tuple[Floats, Floats, float]:
+        """Return parameters near `start`, their covariance and the model's relative error."""
         # with ends before rolls a tip was 0.41 mm short, with both at once 0.01
-        turned = [self.turn(self.descend(start, FIRST_ROBUST_SD).x) for start in starts]
-        best = self.leave_minima(self.descend(min(turned, key=self.misfit)).x)
-        best = self.descend(self.turn(best)).x
-        image = self.image(self.project(best), best)
-        scale = self.measure_deviations(image)
-        jacobian = self.slopes(best, scale)
+        first = self.descend(self.turn(start), robust=FIRST_ROBUST_SD)
+        minimum = self.leave_minima(self.descend(self.turn(first.theta), near=first.slopes))
+        best = self.descend(self.turn(minimum.theta), near=minimum.slopes).theta
+        image = self.image(best)
+        self.scale = scale = self.measure_deviations(image)
+        jacobian = self.slopes(best)
         left = np.where(self.seen[..., None], image - self.shown, 0.0) / scale
         left /= np.sqrt(1 + (left / ROBUST_SD) ** 2)
         factor = correlation_factor(np.moveaxis(left, 1, 0).reshape(left.shape[1], -1), len(best))
         covariance = np.linalg.inv(jacobian.T @ jacobian) * factor / CORRELATED_SAMPLES
         return np.asarray(best, float), np.asarray(covariance, float), self.error(image)
 
-    def leave_minima(self, best: Floats) -> Floats:
-        """Return the parameters of a minimum from whose neighbourhood no fit leads to a lower one.
+    def leave_minima(self, best: "_Minimum") -> "_Minimum":
+        """Return a minimum from whose neighbourhood no fit leads to a lower one.
 
-        Fits begin where moves of the axis along the normal, or of its end, lead to the least misfit.
+        Fits begin at moves of the axis along the normal, and of its end; those that end lowest after one step
+        go on.
         """
-        moved = np.vstack([self.moves[1], np.eye(len(best))[2 * len(self.start)]])
-        moves = np.vstack([size * moved for size in MOVE_SIZES])
+        moves = np.vstack([size * np.vstack(self.moves[1:]) for size in MOVE_SIZES])
         while True:
-            lowest = self.misfit(best)
-            for start in sorted([*(best + moves), *(best - moves)], key=self.misfit)[:TRIED_MOVES]:
-                near = self.descend(start, steps=MOVED_STEPS).x
-                if self.misfit(near) < lowest - LEAST_GAIN:
-                    best = self.descend(near).x
+            steps = [self.descend(best.theta + move, steps=2, near=best.slopes) for move in [*moves, *-moves]]
+            for start in sorted(steps, key=attrgetter("misfit"))[:TRIED_MOVES]:
+                near = self.descend(start.theta, steps=MOVED_STEPS, near=start.slopes)
+                if near.misfit < best.misfit - LEAST_GAIN:
+                    best = self.descend(near.theta)
                     break
             else:
                 return best
