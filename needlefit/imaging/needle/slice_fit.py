@@ -76,8 +76,8 @@ MODEL_ERRORS = (0.15, 0.25)
 CORRELATED_SAMPLES = 10.0  # number of samples that count as one
 # SDs of the axis (slices) that no residual shows: where it does not cross a slice, and per relative misfit of
 # the image; at the needle's end they are larger by a factor. Set on `benchmarks/real_scanners.py --seeds
-# 3100:3116` and `3300:3340`; on the 54 volumes above errors of tips over SDs are 0.9 along the needle, 0.8 and
-# 0.6 across, in root mean square.
+# 3100:3116` and `3300:3340`; on the 54 volumes above errors of tips over SDs are 0.9 along the needle, 0.8
+# and 0.6 across, in root mean square.
 MIRROR_SD = 0.15
 MISFIT_SD = 0.07
 END_FACTOR = 4.0
