@@ -37,7 +37,7 @@ from needlefit.datasets.columns import (
 from needlefit.datasets.faults import Fault, note_fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
 from needlefit.datasets.needles import find_unknown_needle
-from needlefit.geometry.frames import Frame
+from needlefit.geometry.frames import UNIT_VECTOR_TOLERANCE, Frame
 from needlefit.mechanics.needle import Needle
 from needlefit.project.unit_warnings import MIN_DEPTH_MM
 from needlefit.schemas.dataset import DatasetRecord, boundaries_fault, needle_key
@@ -45,8 +45,6 @@ from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 Problem = tuple[str, str, str]  # of a row: what is wrong, what is expected, and how it is fixed
-
-UNIT_VECTOR_TOLERANCE = 1e-3  # largest deviation of a direction's length from 1
 
 
 def parse_rows(table: CsvTable, record: DatasetRecord, all_faults: list[Fault]) -> list[InsertionRow]:

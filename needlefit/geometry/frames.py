@@ -10,6 +10,7 @@ from needlefit.arrays import Floats, pad_axis
 from needlefit.errors import DataError
 from needlefit.schemas.scene import PlacementRecord
 
+UNIT_VECTOR_TOLERANCE = 1e-3  # largest deviation of a direction's length, or of axes from right angles
 PARALLEL_SINE = 1e-6  # sine of the angle below which two directions count as parallel
 
 

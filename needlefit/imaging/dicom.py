@@ -9,7 +9,7 @@ SimpleITK would refuse these, and make up the places of missing slices: it unpac
 import math
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,20 +22,14 @@ from scipy.linalg import polar
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError, located
-from needlefit.imaging.volume import (
-    AXES_COSINE_TOLERANCE,
-    SPACINGS_MM,
-    VoxelGrid,
-    check_grid,
-    check_size,
-    fill_unknown,
-)
+from needlefit.geometry.frames import UNIT_VECTOR_TOLERANCE
+from needlefit.imaging.volume import SPACINGS_MM, VoxelGrid, check_grid, check_size, fill_unknown
 from needlefit.imaging.volume_files import list_series_files
 from needlefit.project.folders import MAX_LISTED_FILES
 from needlefit.project.input_files import is_file, open_regular
 from needlefit.project.reader_process import Arrays, allow_memory
 
-# largest distance (mm) of a slice from its place on an even stack: positions are written to 0.1 mm or better
+# largest distance (mm) of a voxel from its place on an even stack: positions are written to 0.1 mm or better
 MAX_OFFSET_MM = 0.1
 # Modalities whose values are attenuations; converters leave the entry out, or write OT (other).
 XRAY_MODALITIES = ("", "CT", "XA", "RF", "DX", "PX", "IO", "OT")
@@ -53,7 +47,6 @@ EXPORT_FIX = (
     "export the series from the scanner again, as original axial slices in HU; or load it in 3D Slicer, and "
     "save the volume as NRRD, in HU (air -1000, water 0); a micro-CT scans air and water for this"
 )
-SLICE_BYTES_PER_PIXEL = 32  # memory (bytes) of a pixel of a slice: packed, unpacked, and in double precision
 SUFFIXES = (".dcm", ".ima", ".dicom")
 NUMBERS = {
     "Rows": 1,
@@ -100,7 +93,7 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
     """
     images = find_series(Path(path), series)
     slices, grid = stack_slices([item for item in images if not item.is_localizer] or images)
-    allow_memory(grid.size[0] * grid.size[1] * SLICE_BYTES_PER_PIXEL + 5 * math.prod(grid.size))  # and a mask
+    allow_memory(9 * math.prod(grid.size))  # values, a mask, and as much again for the slices that are read
     values = arrays["values"] = np.empty(grid.size[::-1], np.float32)
     arrays |= grid.placing
     for item, plane in zip(slices, values, strict=True):
@@ -224,10 +217,9 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
         origin, step = _fit_steps(ordered, normal)
         # PixelSpacing is row spacing (y), then column spacing (x); the grid is x, y, z
         steps = np.array([*first.number["PixelSpacing"][::-1], np.linalg.norm(step)])
-        direction = np.column_stack([polar(axes.T)[0], step / steps[2]])
-        grid = VoxelGrid(size, origin, steps, direction)
+        grid = VoxelGrid(size, origin, steps, np.column_stack([*axes, step / steps[2]]))
         check_grid(grid)
-    return ordered, grid
+    return ordered, replace(grid, direction=np.column_stack([polar(axes.T)[0], step / steps[2]]))
 
 
 def _list_faults(item: DicomSlice, first: DicomSlice) -> Iterator[str]:
@@ -241,13 +233,17 @@ def _list_faults(item: DicomSlice, first: DicomSlice) -> Iterator[str]:
     for name, count in NUMBERS.items():
         if len(number[name]) != count or not are_bounded(number[name]):
             yield f"its {name} is {item.text(name)[:40] or 'not stated'}, no {count} finite number(s)"
-    axes = number["ImageOrientationPatient"].reshape(2, 3)
-    if not (np.abs(axes @ axes.T - np.eye(2)) <= AXES_COSINE_TOLERANCE).all():
-        yield f"ImageOrientationPatient is {axes.round(4).tolist()}, no two perpendicular unit vectors"
     if item.text("FrameOfReferenceUID") != first.text("FrameOfReferenceUID"):
         yield f"its FrameOfReferenceUID is not that of {first.file.name}"
-    for name in ("Rows", "Columns", "ImageOrientationPatient", "PixelSpacing"):
-        if not np.allclose(number[name], first.number[name], 0, AXES_COSINE_TOLERANCE):
+    last_voxel = np.concatenate([number["Rows"], number["Columns"]])  # to which errors of the spacing add up
+    tolerances = {
+        "Rows": 0.0,
+        "Columns": 0.0,
+        "ImageOrientationPatient": UNIT_VECTOR_TOLERANCE,
+        "PixelSpacing": MAX_OFFSET_MM / last_voxel.clip(1),
+    }
+    for name, tolerance in tolerances.items():
+        if (np.abs(number[name] - first.number[name]) > tolerance).any():
             yield f"its {name} is {number[name]}, that of {first.file.name} is {first.number[name]}"
 
 

@@ -12,6 +12,7 @@ from scipy.ndimage import map_coordinates
 
 from needlefit.arrays import Floats, Ints, are_bounded
 from needlefit.errors import DataError, NeedlefitError
+from needlefit.geometry.frames import UNIT_VECTOR_TOLERANCE
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.constants import HU, PART
 from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_bytes
@@ -21,8 +22,6 @@ DEFAULT_MAX_VOXELS = 2**30
 # spacings of real scans (mm), from the finest micro-CT to the thickest slices; outside, the unit of the file
 # is not mm
 SPACINGS_MM = (1e-3, 50.0)
-# largest deviation of axes from right angles and unit length, as cosines printed with three decimals have
-AXES_COSINE_TOLERANCE = 1e-3
 MAX_EQUAL = 3  # largest number of voxels around an object that have its largest value by chance
 # largest tilt (degrees): a gantry tilts by 30 at most; its slices then lean over one another by as much
 MAX_TILT_DEG = 35.0
@@ -78,7 +77,7 @@ def check_grid(grid: VoxelGrid) -> None:
         )
     flat, upright = grid.direction[:, :2], grid.direction[:, 2]
     skew, lean = np.abs(flat.T @ flat - np.eye(2)).max(), np.hypot(*(upright @ flat))
-    if skew > AXES_COSINE_TOLERANCE or lean > np.sin(np.radians(MAX_TILT_DEG)):
+    if skew > UNIT_VECTOR_TOLERANCE or lean > np.sin(np.radians(MAX_TILT_DEG)):
         raise DataError(
             "the axes of the voxels are not perpendicular unit vectors: "
             f"{grid.direction.T.round(4).tolist()}",
@@ -204,7 +203,7 @@ def turn_slices(volume: Volume) -> Volume:
     longest = int(np.argmax(volume.spacing))
     ratio = float(volume.spacing[longest] / volume.spacing[2])
     lean = np.abs(volume.direction[:, :2].T @ volume.direction[:, 2]).max()
-    if ratio < PART.FLATNESS or lean > AXES_COSINE_TOLERANCE:
+    if ratio < PART.FLATNESS or lean > UNIT_VECTOR_TOLERANCE:
         return volume
     order = [*np.delete(range(3), longest), longest]
     values = np.ascontiguousarray(volume.values.T.transpose(order).T)
