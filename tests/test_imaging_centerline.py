@@ -160,13 +160,13 @@ def test_a_needle_beside_a_face_ends_where_it_does_and_one_that_the_face_cuts_is
     assert cases.off(drawn, cases.axis()).max() < 1.0 and np.ptp(drawn[:, 2]) > 30.0
 
 
-@pytest.mark.parametrize("moved", [None, Corrections(entry=cases.ENTRY)])
+@pytest.mark.parametrize("moved", [Corrections(), Corrections(entry=cases.ENTRY)])
 def test_a_needle_whose_tip_alone_leaves_the_volume_is_not_reversed(tmp_path, moved):
     """The base lies in air, 28 mm before the face; the volume ends 5 or 12 mm before the tip."""
     for top in (35.0, 28.0):
         size = (48, 48, int((top + 22.0) / cases.SPACING))
         cut = cases.scan(cases.axis(), grid=cases.grid(size=size, origin=np.array([0, 0, -22.0])))
-        scan = Scan("cut", tmp_path / "cut.nrrd", "box", corrections=moved)
+        scan = Scan("cut", tmp_path / "cut.nrrd", "box", corrections={"cut": moved})
         search = VolumeSearch(cut, cases.RECIPE)
         assert "entry_direction" in refusal(DataError, "", examine, Examination(scan), search).fix
 

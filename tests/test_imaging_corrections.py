@@ -93,10 +93,10 @@ def test_a_needle_whose_ends_lie_in_tissue_is_placed_as_its_refusal_offers(tmp_p
     assert (tmp_path / "quality" / "one.pdf").stat().st_size > 5000
     assert len(failed.picture.views) == 2 and np.ptp(failed.picture.curve[:, 0]) > 25
     placed = Corrections(tip=truth[-1], entry=cases.ENTRY + np.array([0, 0, 8]))
-    (one,) = reconstruct_needles(replace(scan, corrections=placed), cases.RECIPE)
+    (one,) = reconstruct_needles(replace(scan, corrections={"one": placed}), cases.RECIPE)
     assert one.depth == approx(20.0, abs=0.3)
     placed = replace(placed, axis=truth[[4, 20, 40]])
-    (one,) = reconstruct_needles(replace(scan, corrections=placed), cases.RECIPE)
+    (one,) = reconstruct_needles(replace(scan, corrections={"one": placed}), cases.RECIPE)
     assert one.depth == approx(20.0, abs=0.3) and "axis" in one.warnings[0]
 
 
@@ -130,7 +130,7 @@ def test_corrections_belong_to_a_scan_that_can_take_them(file):
     assert "was moved" in refused(scan, file)
     moved(file, "ball 1")
     (corrected,) = correct_scans([scan], [file])
-    assert corrected.needle_corrections["s1"].balls.shape == (4, 3) and not scan.needle_corrections
+    assert corrected.corrections["s1"].balls.shape == (4, 3) and not scan.corrections
     assert "s1" in refused(other, file)
     assert "second time" in refused(scan, file, file)
     assert "known places" in refused(replace(scan, markers=None), file)

@@ -256,7 +256,7 @@ def test_a_surface_far_from_where_tissue_is_seen_is_refused(tmp_path):
 )
 def test_a_contact_lies_before_the_tip(before_tip, words):
     placed = np.array([11.0, 11.0, 40.0 - before_tip])
-    scan = Scan("one", Path("one.nrrd"), "box", corrections=Corrections(entry=placed))
+    scan = Scan("one", Path("one.nrrd"), "box", corrections={"one": Corrections(entry=placed)})
     search = VolumeSearch(cases.scan(cases.axis()), cases.RECIPE)
     if words:
         assert re.search(words, refusal(DataError, "", examine, Examination(scan), search).what)

@@ -82,7 +82,7 @@ def test_every_column_comes_through_and_has_a_default(folder):
         ("scan", "none.nrrd", "no file"),
         ("scan,medium", "one.nrrd,pork loin", "medium is 'pork loin'"),
         ("id,scan", "a,", "scan is empty"),
-        ("scan,mask", "one.nrrd,none.nrrd", "mask is"),
+        ("scan,mask", "one.nrrd,none.nrrd", "no file"),
         ("scan,fiducials", "one.nrrd,placed.mrk.json", "without markers"),
         ("scan,surfaces", "one.nrrd,none.stl", "none.stl"),
         ("scan,surfaces", "one.nrrd,skin.stl=shell:2", "surfaces is 'skin.stl=shell:2'"),

@@ -214,11 +214,13 @@ def _take_answers(scans: "Sequence[Scan]", confirmed: Sequence[str], every: bool
 
     `every`: whether each needle of a scan, `ID-1`, ..., is asked about.
     """
+    from needlefit.imaging.scans import find_owner
+
     answers: dict[str, dict[str, int]] = {scan.id: {} for scan in scans}
     for text in confirmed:
         answer = re.fullmatch(r"(?:(.+):)?entry=([1-9])", text)
         id_ = "" if answer is None else answer[1] or (scans[0].id if len(scans) == 1 else "")
-        owner = id_.rpartition("-")[0] if every and id_ not in answers else id_
+        owner = find_owner(id_, answers, every)
         if answer is None or owner not in answers:
             usual = name_answer(scans[0], len(scans))
             raise typer.BadParameter(f"give a scan and its answer: {usual}", param_hint="--confirm")
@@ -301,9 +303,9 @@ def _print_failures(
         command = invocation.repeat("--confirm", name_answer(asked[0], count))
         screen.print_note(f"needlefit: with the number of the right answer: {command}")
     if failed and not run:
-        screen.print_note(f"needlefit: no scan was reconstructed; the reasons as a table: {out}/refused.csv")
+        screen.print_note(f"needlefit: no needle was reconstructed; the reasons: {out}/refused.csv")
     elif failed and run:
         screen.print_note(
-            f"needlefit: {len(failed)} of {count} scans failed; the others are written, and kept in "
+            f"needlefit: {len(failed)} of {count} needles failed; the others are written, and kept in "
             f"{out}.partial for the next run"
         )

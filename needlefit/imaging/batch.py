@@ -50,7 +50,7 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
 
     So is one of which something is stated that only one needle has, or in which nothing is found.
     """
-    of_one_needle = (scan.needle_at, scan.stage, scan.needle_corrections.get(scan.id), scan.mask)
+    of_one_needle = (scan.needle_at, scan.stage, scan.corrections.get(scan.id), scan.mask)
     if any(stated is not None for stated in of_one_needle):
         return (scan,)
     with suppress(NeedlefitError):  # its reconstruction says why
@@ -133,7 +133,7 @@ def reconstruct_needles(
         search = VolumeSearch(read_volume(scan.volume, scan.series), recipe)
         needles = divide_scan(search, scan) if every else (scan,)
         ids = [needle.id for needle in needles]
-        if unknown := {*scan.answers, *scan.needle_corrections} - {*ids}:
+        if unknown := {*scan.answers, *scan.corrections} - {*ids}:
             raise DataError(
                 f"holds the needles {', '.join(ids)}, and not {', '.join(sorted(unknown))}",
                 expected="answers and corrections that name a needle each",
@@ -149,8 +149,7 @@ def reconstruct_needles(
             share = n + STAGES[stage] / STAGES["quality page"]
             progress(f"{id_}: {stage}", round(100 * share), 100 * len(needles))
 
-        moved = scan.needle_corrections.get(id_, scan.corrections)
-        found = Examination(replace(needle, corrections=moved))
+        found = Examination(needle)
         try:
             with located(scan.volume):
                 results.append(examine(found, search, report))

@@ -101,7 +101,7 @@ def _list_entry_warnings(result: Reconstruction) -> Iterator[str]:
     if entry.confirmed:
         yield f"entry confirmed by a person: {entry.confirmed}"
     first = next((run for run in result.passed if result.name_part(run) == "tissue"), None)
-    placed = entry.confirmed or (result.scan.corrections and result.scan.corrections.entry is not None)
+    placed = entry.confirmed or result.scan.correction.entry is not None
     if not placed and first is not None and not is_soft_tissue(first.level):
         yield (
             f"the tissue begins with {first.length:.1f} mm of {first.level:.0f} HU, which is no soft tissue "

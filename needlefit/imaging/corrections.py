@@ -17,15 +17,15 @@ from needlefit.errors import DataError, located
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.imaging.constants import MM
 from needlefit.imaging.reconstruction import MarkerResult, Reconstruction
-from needlefit.imaging.scans import Corrections, Scan
+from needlefit.imaging.scans import Corrections, Scan, find_owner
 
 LIST_NAME = "corrections"  # name of a list of control points, after the id of its scan
 AXIS_POINTS = 8  # number of control points on the needle, at even distances
 KINDS = ("axis", "tip", "entry", "ball")
-_LABEL = re.compile(rf"({'|'.join(KINDS)})( *\d+)?", re.IGNORECASE)
-_PLACE = ", ".join(3 * [r"(-?\d+\.\d+)"])
-# the number of balls: one that was removed is missed by the others
-_FOUND = re.compile(rf"found at L, P, S = {_PLACE} mm(?:, one of (\d+) balls)?")
+# with the number of balls: one that was removed is missed by the others
+_FOUND = re.compile(
+    r"found at L, P, S = (-?\d+\.\d+), (-?\d+\.\d+), (-?\d+\.\d+) mm(?:, one of (\d+) balls)?"
+)
 
 
 def make_control_points(
@@ -85,29 +85,29 @@ def read_corrections(path: Path) -> dict[str, Corrections]:
 
 
 def _parse_corrections(markups: Markups) -> Corrections:
-    labels = [_LABEL.fullmatch(label.strip()) for label in markups.labels]
-    if None in labels:
+    kinds = np.array([re.sub(r"[\s\d]+$", "", label).strip().lower() for label in markups.labels])
+    if unknown := {*kinds.tolist()} - {*KINDS}:
         raise DataError(
-            f"the point `{markups.labels[labels.index(None)]}` has no known label",
+            f"points are called {', '.join(sorted(unknown))}",
             expected=f"{', '.join(KINDS)}, with or without a number",
-            fix="rename the point in 3D Slicer, or remove it",
+            fix="rename the points in 3D Slicer, or remove them",
         )
-    kinds = np.array([label[1].lower() for label in labels if label])
     stated = [_FOUND.search(text) for text in markups.descriptions]
     found = np.array([match.groups("nan") if match else 4 * ("nan",) for match in stated], dtype=np.float64)
     moved = ~(np.linalg.norm(markups.points - found[:, :3], axis=1) <= MM.GRID_SD)  # what was added, too
-    places = {kind: markups.points[(kinds == kind) & moved] for kind in KINDS}
-    for kind in ("tip", "entry"):
-        if len(places[kind]) > 1:
-            raise DataError(
-                f"{len(places[kind])} points are called {kind}", expected="one", fix="remove the others"
-            )
+    axis, tip, entry, balls = (markups.points[(kinds == kind) & moved] for kind in KINDS)
+    if max(len(tip), len(entry)) > 1:
+        raise DataError(
+            f"{len(tip)} points are the tip, {len(entry)} the entry",
+            expected="one of each at most",
+            fix="remove the others",
+        )
     counts = found[np.isfinite(found[:, 3]), 3]
-    changed = len(places["ball"]) or len(counts) < counts.max(initial=0)
+    changed = len(balls) or len(counts) < counts.max(initial=0)
     return Corrections(
-        axis=places["axis"] if len(places["axis"]) else None,
-        tip=next(iter(places["tip"]), None),
-        entry=next(iter(places["entry"]), None),
+        axis=axis if len(axis) else None,
+        tip=next(iter(tip), None),
+        entry=next(iter(entry), None),
         balls=markups.points[kinds == "ball"] if changed else None,
     )
 
@@ -124,28 +124,25 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path], every: bool = Fa
     corrected = {scan.id: scan for scan in scans}
     for path in files:
         for id_, correction in read_corrections(path).items():
-            owner = id_.rpartition("-")[0] if every and id_ not in corrected else id_
+            owner = find_owner(id_, corrected, every)
             scan = corrected.get(owner)
             if scan is None:
                 problem = f"is not among {', '.join(corrected)}"
-            elif id_ in scan.needle_corrections:
+                fix = "name that scan, too, or give --all for one needle of several"
+            elif id_ in scan.corrections:
                 problem = "is corrected a second time"
-            elif all(places is None for places in vars(correction).values()) and not scan.answers:
+                fix = "leave out one of its lists"
+            elif not (scan.answers or any(places is not None for places in vars(correction).values())):
                 problem = "none of its control points was moved"
+                fix = "move what is wrong in 3D Slicer and save the list; --confirm takes an entry as it is"
             elif correction.balls is not None and scan.markers is None:
                 problem = "its balls were moved, but no known places of markers are stated"
+                fix = "add --markers, or leave the balls where they were"
             elif correction.entry is not None and scan.stage is not None:
                 problem = "its entry was moved, but the stage (entry_x_mm ...) states it"
+                fix = "leave the entry where it was, or leave out the stage"
             else:
-                moved = {**scan.needle_corrections, id_: correction}
-                corrected[owner] = replace(scan, needle_corrections=moved)
+                corrected[owner] = replace(scan, corrections={**scan.corrections, id_: correction})
                 continue
-            raise DataError(
-                f"the scan `{id_}`: {problem}",
-                expected="one list for each scan, with points that were moved or removed",
-                fix="name that scan, too, and --all for one needle of several; move what is wrong in 3D "
-                "Slicer, and save the list again (--confirm entry=1 confirms the entry as it is); moved "
-                "balls need --markers, a moved entry no stage",
-                where=path,
-            )
+            raise DataError(f"the scan `{id_}`: {problem}", fix=fix, where=path)
     return tuple(corrected.values())

@@ -17,7 +17,6 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.centerline import project_point
 from needlefit.imaging.reconstruction import EntryChoice, EntryPlace, MaterialRun, NeedleImage
-from needlefit.imaging.scans import Corrections
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 
@@ -31,7 +30,7 @@ def locate_entry(
 
     DataError if the point placed is not on the needle, if nothing shows the entry, or if it is in doubt.
     """
-    contact = (image.scan.corrections or Corrections()).entry
+    contact = image.scan.correction.entry
     if contact is not None:
         points = image.needle_axis.points
         length = arc_length(points)[-1]

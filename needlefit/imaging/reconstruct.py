@@ -38,7 +38,7 @@ from needlefit.imaging.reconstruction import (
     render_views,
 )
 from needlefit.imaging.registration import register
-from needlefit.imaging.scans import Corrections, Scan
+from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume, doubt_air, require_hounsfield, turn_slices
 from needlefit.project.callbacks import Note, no_note
 from needlefit.project.unit_warnings import MIN_DEPTH_MM
@@ -125,7 +125,7 @@ def examine(found: Examination, search: VolumeSearch, report: Note = no_note) ->
     `report` is called with the names of `STAGES`. DataError: whatever keeps a scan from being reconstructed.
     """
     volume, recipe, scan = search.volume, search.recipe, found.scan
-    moved = scan.corrections or Corrections()
+    moved = scan.correction
     require_hounsfield(volume)
     report("needle")
     by_hand = [name for name, places in vars(moved).items() if places is not None]
@@ -190,7 +190,7 @@ def _locate_markers(scan: Scan, volume: Volume, recipe: ReconstructionRecord, ne
     They are balls in the volume, or places given by hand, moved to the balls that they mark.
     """
     balls = find_markers(volume, recipe, needle)
-    placed = None if scan.corrections is None else scan.corrections.balls
+    placed = scan.correction.balls
     if placed is None and scan.fiducials is not None:
         placed = read_markers(scan.fiducials)
     return balls if placed is None else refine_fiducials(placed, volume, recipe, balls)

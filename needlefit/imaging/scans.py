@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -18,7 +18,7 @@ from pydantic import (
     ValidationInfo,
     model_validator,
 )
-from pydantic_core import ErrorDetails
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
@@ -31,9 +31,8 @@ from needlefit.datasets.columns import (
 )
 from needlefit.datasets.faults import Fault, as_error, note_fault
 from needlefit.datasets.formats.csv import list_columns, read_table
-from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
 from needlefit.errors import DataError
-from needlefit.geometry.frames import normalize
+from needlefit.geometry.frames import UNIT_VECTOR_TOLERANCE, normalize
 from needlefit.geometry.surfaces import SurfaceKind
 from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES
 from needlefit.project.input_files import is_file, path_exists
@@ -113,10 +112,9 @@ class Scan:
     needle_at: Floats | None = None  # (3,) or None; a point on the needle that is meant, LPS of the scan, mm
     divided: int = 0  # needles into which the program divided the scan, and set `needle_at`; 0: it did not
     origin: Literal["measured", "synthetic"] = "measured"
-    corrections: Corrections | None = None  # of its needle, as moved in 3D Slicer
-    # What a person moved, and numbers of the answers that a person gave, by the id of the scan or of one of
-    # its needles; no column of a table states them.
-    needle_corrections: dict[str, Corrections] = field(default_factory=dict)
+    # What a person moved in 3D Slicer, and the number of the answer that a person gave, by the id of the scan
+    # or of one of its needles; no column of a table states them.
+    corrections: dict[str, Corrections] = field(default_factory=dict)
     answers: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -124,6 +122,11 @@ class Scan:
         """All files and DICOM folders that are read for it."""
         layers = (source.path for source in self.surfaces)
         return tuple(filter(None, (self.volume, self.mask, self.markers, self.fiducials, *layers)))
+
+    @property
+    def correction(self) -> Corrections:
+        """What a person moved of the needle of this id."""
+        return self.corrections.get(self.id, Corrections())
 
 
 STAGE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg")
@@ -148,7 +151,7 @@ def _require_id(text: str) -> str:
 def _locate(file: str, info: ValidationInfo) -> Path:
     path = Path(info.context or "", file)
     if not path_exists(path) if info.field_name == "volume" else not is_file(path):
-        raise ValueError(f"a file, by its path from the folder of the table; there is no file {path}")
+        raise PydanticCustomError("no_file", "there is no file {path}", {"path": str(path)})
     if fault := name_fault(path.name):
         raise ValueError(f"{EXPECTED_NAME}; {fault}")
     return path
@@ -159,14 +162,13 @@ def _parse_layers(text: str, info: ValidationInfo) -> tuple[LayerSource, ...]:
     layers = []
     for part in filter(None, map(str.strip, text.split(";"))):
         ((file, kind, into),) = _LAYER.findall(part)  # a file's name may be anything
-        path = Path(info.context or "", file)
         endings = MESH_SUFFIXES if kind else (*MESH_SUFFIXES, *SEGMENTATION_SUFFIXES)
-        if not is_file(path) or not path.name.lower().endswith(endings):
+        if not file.lower().endswith(endings):
             raise ValueError(
-                f"an existing mesh ({', '.join(MESH_SUFFIXES)}), with or without =sheet:2 or =solid:3, or "
-                f"segmentation ({', '.join(SEGMENTATION_SUFFIXES)}); {path} is none"
+                f"a mesh ({', '.join(MESH_SUFFIXES)}), with or without =sheet:2 or =solid:3, or "
+                f"segmentation ({', '.join(SEGMENTATION_SUFFIXES)}); {file} is none"
             )
-        layers.append(LayerSource(path, kind or None, int(into) if into else None))
+        layers.append(LayerSource(_locate(file, info), kind or None, int(into) if into else None))
     if len(layers) > 1 and any(layer.is_segmentation for layer in layers):
         raise ValueError("one segmentation of all layers, or a mesh for each")
     return tuple(layers)
@@ -309,6 +311,8 @@ def _describe_fault(detail: ErrorDetails, place: str) -> Fault:
     """Return what is wrong with a cell, or with several, of the row at a place."""
     fix = "correct it, or leave it out with what belongs to it"
     text = re.sub("Value error, |Input should be |, unable to parse.*", "", detail["msg"])
+    if detail["type"] == "no_file":
+        return DataError(text, fix="check its name and path", where=place)
     if not detail["loc"]:
         return DataError(text, fix=fix, where=place)
     name, *part = map(str, detail["loc"])
@@ -317,6 +321,11 @@ def _describe_fault(detail: ErrorDetails, place: str) -> Fault:
     if detail["type"] == "extra_forbidden":
         text = "a column of `needlefit explain scans.csv`"
     return DataError(f"{column} is {value}", expected=text, fix=fix, where=place)
+
+
+def find_owner(id_: str, ids: Container[str], every: bool) -> str:
+    """Return the id of the scan that an id means: of one of `ids`, or, of `every` needle, of one, `ID-1`."""
+    return id_.rpartition("-")[0] if every and id_ not in ids else id_
 
 
 def scan_id(volume: Path) -> str:
