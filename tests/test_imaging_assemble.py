@@ -7,10 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 from pytest import approx
-from refusals import refusal
 
 from needlefit.datasets.read import check, read
-from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import transform_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked, assemble_dataset
@@ -87,8 +85,9 @@ def test_any_surface_name_gives_a_valid_file_and_media_share_none(tmp_path):
     assert list_layers(tmp_path) == files
     assert check(tmp_path) == []
     both = [named("a", "gel", ["b_c"]), named("b", "gel_b", ["c"])]
-    error = refusal(DataError, r" layers/gel_b_c\.stl", assemble_dataset, tmp_path, both, RECIPE, ABOUT)
-    assert error.fix
+    kept, failed = assemble_checked(tmp_path / "both", both, RECIPE, ABOUT)
+    assert kept == () and [one.scan.id for one in failed] == ["a", "b"] and not (tmp_path / "both").exists()
+    assert "layers/gel_b_c.stl" in failed[0].error.what and failed[0].error is failed[1].error
 
 
 def test_an_insertion_with_a_fault_is_left_out_and_reported(tmp_path):

@@ -104,7 +104,7 @@ def reconstruct(
         from needlefit.datasets.read import inspect
         from needlefit.imaging.assembly import DatasetDescription
         from needlefit.imaging.batch import ReconstructionFailure, reconstruct_all
-        from needlefit.imaging.corrections import correct_scans, list_control_points
+        from needlefit.imaging.corrections import correct_scans
         from needlefit.imaging.scans import scan_id
         from needlefit.project.checkpoint import (
             open_checkpoint,
@@ -176,17 +176,10 @@ def reconstruct(
             written = None
             if ones:
                 about = DatasetDescription(place.name, title)
-                faulty: Sequence[ReconstructionFailure]
-                try:
-                    written, faulty = write_reconstruction(
-                        out, ones, record, about, report, refused=failed, sources=sources
-                    )
-                except DataError as error:  # it belongs to no single scan
-                    faulty = [
-                        ReconstructionFailure(needle.scan, error, list_control_points(needle))
-                        for needle in ones
-                    ]
-                failed = [*failed, *faulty]
+                written, faulty = write_reconstruction(
+                    out, ones, record, about, report, refused=failed, sources=sources
+                )
+                failed += faulty
             if failed and not written:
                 write_refused(failed, refused)
             else:  # those of an earlier run would be taken for this one's

@@ -118,6 +118,7 @@ def _dataset_record(
     media: dict[str, DatasetMediumRecord],
 ) -> DatasetRecord:
     needle, about = recipe.needle, vars(description)
+    unrecorded = {"diameter_mm", "bevel_deg", "bevel_sd_deg"}
     drawn = all(scanned.sections is not None for scanned in reconstructions)
     sd = float(np.sqrt(np.mean(np.concatenate([scanned.sd for scanned in reconstructions]) ** 2)))
     registered = float(np.mean([scanned.target_error.mean() for scanned in reconstructions]))
@@ -131,14 +132,7 @@ def _dataset_record(
         schema_=1,
         origin=combine_origins(scanned.scan.origin for scanned in reconstructions),
         frame=FrameRecord(name="world" if reconstructions[0].registration else "patient (LPS)", pose="known"),
-        needle=NeedleRecord(
-            name=needle.name,
-            length_mm=needle.length_mm,
-            outer_diameter_mm=needle.diameter_mm,
-            inner_diameter_mm=needle.inner_diameter_mm,
-            youngs_modulus_gpa=needle.youngs_modulus_gpa,
-            note=needle.note,
-        ),
+        needle=NeedleRecord(outer_diameter_mm=needle.diameter_mm, **needle.model_dump(exclude=unrecorded)),
         # An axis drawn as a spline errs alike over half a knot's distance; what remains from point to point
         # is the rounding of the files, and a tenth of the former stands for it. What the spline rounds is
         # no noise: it is in the stored cross-sections.
@@ -205,39 +199,42 @@ def assemble_checked(
 ) -> tuple[tuple[Reconstruction, ...], tuple[ReconstructionFailure, ...]]:
     """Write the dataset of all `reconstructions` without faults into `folder`; return them and the others.
 
-    Where all have a fault, nothing is written and the first tuple is empty.
-
-    DataError if the dataset of those without faults has one.
+    Where all have a fault, or make no dataset together, nothing is written and the first tuple is empty.
     """
     kept, failures = list[Reconstruction](), list[ReconstructionFailure]()
-    for result in reconstructions:
-        with TemporaryDirectory(prefix="needlefit-") as trial:
-            faults = _write_and_check(Path(trial), [result], recipe, description)
-        if not faults:
-            kept.append(result)
-            continue
-        what = "; ".join(dict.fromkeys(fault.what for fault in faults))
-        error = faults[0].replace(
-            what=f"gives no insertion that a dataset may hold: {what}", where=result.scan.volume
-        )
-        failures.append(ReconstructionFailure(result.scan, error, list_control_points(result)))
-    if kept and (faults := _write_and_check(folder, kept, recipe, description)):
-        raise as_error(faults, Path(description.name))
-    return tuple(kept), tuple(failures)
+    for needle in reconstructions:
+        if faults := _list_faults([needle], recipe, description):
+            what = "; ".join(dict.fromkeys(fault.what for fault in faults))
+            error = faults[0].replace(
+                what=f"gives no insertion that a dataset may hold: {what}", where=needle.scan.volume
+            )
+            failures.append(ReconstructionFailure(needle.scan, error, list_control_points(needle)))
+        else:
+            kept.append(needle)
+    if len(kept) > 1 and (faults := _list_faults(kept, recipe, description)):
+        shared = as_error(faults, Path(description.name))
+        failures += [ReconstructionFailure(one.scan, shared, list_control_points(one)) for one in kept]
+    elif kept:
+        assemble_dataset(folder, kept, recipe, description)
+        return tuple(kept), tuple(failures)
+    return (), tuple(failures)
 
 
-def _write_and_check(
-    folder: Path,
+def _list_faults(
     reconstructions: Sequence[Reconstruction],
     recipe: ReconstructionRecord,
     description: DatasetDescription,
 ) -> list[Fault]:
-    """Write a dataset into `folder`; return its faults, with places from there."""
-    assemble_dataset(folder, reconstructions, recipe, description)
-    return [
-        fault.replace(
-            where=fault.where.replace(f"{folder}/", ""),
-            fix=fault.fix.replace("dataset.toml", "the recipe"),  # what its user has written
-        )
-        for fault in check(folder)
-    ]
+    """Return the faults of the dataset that reconstructions make, with places from its folder."""
+    with TemporaryDirectory(prefix="needlefit-") as folder:
+        try:
+            assemble_dataset(Path(folder), reconstructions, recipe, description)
+        except DataError as error:
+            return [error]
+        return [
+            fault.replace(
+                where=fault.where.replace(f"{folder}/", ""),
+                fix=fault.fix.replace("dataset.toml", "the recipe"),  # what its user has written
+            )
+            for fault in check(Path(folder))
+        ]

@@ -338,7 +338,7 @@ def write_reconstruction(
     The dataset; `quality/<id>.pdf`; `slicer/`, also of the scans that were `refused`; a first study of
     several insertions; `scenes/<id>.toml`; the files of every run. `sources` are those of the result.
 
-    DataError if the dataset has a fault that belongs to no single scan. ConfigError if `folder` holds
+    ConfigError if `folder` holds
     anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as fresh:
