@@ -184,7 +184,7 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
 def test_an_answer_names_its_scan_or_its_needle(capsys):
     scan = Scan("gel", Path("gel.nrrd"), "gel")
     assert [name_answer(scan, count) for count in (1, 2)] == ["entry=1", "gel:entry=1"]
-    assert name_answer(replace(scan, id="gel-2", divided=2), 2) == "gel-2:entry=1"
+    assert name_answer(replace(scan, id="gel-2"), 2) == "gel-2:entry=1"
     for answer in ("axis", "gel:entry=1"):
         assert run("reconstruct", VOLUME, "--confirm", answer) == 2
         assert "entry=1" in capsys.readouterr().err
