@@ -213,7 +213,9 @@ def assemble_checked(
             kept.append(needle)
     if len(kept) > 1 and (faults := _list_faults(kept, recipe, description)):
         shared = as_error(faults, Path(description.name))
-        failures += [ReconstructionFailure(one.scan, shared, list_control_points(one)) for one in kept]
+        failures += [
+            ReconstructionFailure(needle.scan, shared, list_control_points(needle)) for needle in kept
+        ]
     elif kept:
         assemble_dataset(folder, kept, recipe, description)
         return tuple(kept), tuple(failures)

@@ -323,9 +323,9 @@ def _describe_fault(detail: ErrorDetails, place: str) -> Fault:
     return DataError(f"{column} is {value}", expected=text, fix=fix, where=place)
 
 
-def find_owner(id_: str, ids: Container[str], every: bool) -> str:
-    """Return the id of the scan that an id means: of one of `ids`, or, of `every` needle, of one, `ID-1`."""
-    return id_.rpartition("-")[0] if every and id_ not in ids else id_
+def find_owner(id_: str, ids: Container[str], is_divided: bool) -> str:
+    """Return the id of the scan that an id means: one of `ids`, or, of a divided one, its needle, `ID-1`."""
+    return id_.rpartition("-")[0] if is_divided and id_ not in ids else id_
 
 
 def scan_id(volume: Path) -> str:
