@@ -11,7 +11,7 @@ from scipy.special import expit
 from needlefit.arrays import Floats
 from needlefit.imaging.point_spread import PointSpread
 
-COLUMN_MM = 0.75  # length (mm) of the pieces of the rod along it
+COLUMN_MM = 0.75  # length (mm) of the pieces of the rod along it, but at its end
 CELL_MM = 0.25  # width (mm) of the cells of the detector, and largest distance of planes
 PLANE_STEP = 6  # divisor of the number of planes of a slice
 VIEW_STEP = 0.013  # smallest angle (rad) between views
@@ -121,13 +121,15 @@ class Rod:
         width = 2 * chord * part * slant
         place = across[c] + np.sign(np.cos(roll)) * chord * (1 - part) * slant
         # every piece is a parallelogram, whose image is a trapezoid; in single precision it is twice as fast
-        angles, count, piece = self.views[0], 2 * self.half, self.columns[0] - self.columns[1]
+        angles, count = self.views[0], 2 * self.half
         sine, cosine = np.sin(angles).astype(np.float32), np.cos(angles).astype(np.float32)
-        pieces = np.stack([width, place, drift[c], self.columns[c]])[..., None].astype(np.float32)
-        middle = (pieces[1] * cosine - pieces[3] * sine) / CELL_MM + self.half
-        long = np.maximum(pieces[0] * np.abs(cosine) / CELL_MM, 0.5)
-        wide = np.maximum(np.abs(pieces[2] * cosine - sine) * piece / CELL_MM, 0.5)
-        height, outer = pieces[0] * piece / CELL_MM / (long * wide), (long + wide) / 2
+        piece = np.abs(np.gradient(self.columns))
+        pieces = np.stack([width, place, drift[c], self.columns[c], piece[c]])[..., None].astype(np.float32)
+        width, place, drift, at, piece = pieces
+        middle = (place * cosine - at * sine) / CELL_MM + self.half
+        long = np.maximum(width * np.abs(cosine) / CELL_MM, 0.5)
+        wide = np.maximum(np.abs(drift * cosine - sine) * piece / CELL_MM, 0.5)
+        height, outer = width * piece / CELL_MM / (long * wide), (long + wide) / 2
         first = np.ceil(middle - outer)
         covered = np.arange(int(2 * outer.max(initial=0)) + 1)[:, None, None]  # cells, from the first on
         parts = first - middle + covered.astype(np.float32)
