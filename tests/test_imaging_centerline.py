@@ -272,4 +272,4 @@ def test_a_rod_that_stops_few_rays_is_traced_by_its_sections(tilt, hu, power):
     line = found(volume, cases.recipe(needle={"bevel_deg": 90}, centerline={"entry_direction": [1, 0, 0]}))
     s = np.linspace(0, 1, 500)[:, None]
     assert cases.off(line.points[:-1], truth[0] + s * (truth[1] - truth[0])).mean() < 0.12
-    assert np.linalg.norm(line.tip - truth[1]) < 0.5
+    assert np.linalg.norm(line.tip - truth[1]) < 0.6
