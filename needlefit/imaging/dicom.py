@@ -47,6 +47,7 @@ EXPORT_FIX = (
     "export the series from the scanner again, as original axial slices in HU; or load it in 3D Slicer, and "
     "save the volume as NRRD, in HU (air -1000, water 0); a micro-CT scans air and water for this"
 )
+SLICE_BYTES_PER_PIXEL = 32  # memory (bytes) of a pixel of a slice: packed, unpacked, and in double precision
 SUFFIXES = (".dcm", ".ima", ".dicom")
 NUMBERS = {
     "Rows": 1,
@@ -93,7 +94,7 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
     """
     images = find_series(Path(path), series)
     slices, grid = stack_slices([item for item in images if not item.is_localizer] or images)
-    allow_memory(9 * math.prod(grid.size))  # values, a mask, and as much again for the slices that are read
+    allow_memory(grid.size[0] * grid.size[1] * SLICE_BYTES_PER_PIXEL + 5 * math.prod(grid.size))  # and a mask
     values = arrays["values"] = np.empty(grid.size[::-1], np.float32)
     arrays |= grid.placing
     for item, plane in zip(slices, values, strict=True):
