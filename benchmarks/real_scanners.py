@@ -151,9 +151,9 @@ def trace_narrow(row: Row, cache: Path) -> dict[str, object]:
     line["seconds"] = time.process_time() - start
     beside = _beside(case.world.to_local(found.points), axis, case)
     # the tip from the true one, not from the point of the axis that is nearest to it
-    beside = np.vstack([beside, _beside(case.world.to_local(found.tip[None]), axis, case, -1)])
+    beside = np.vstack([beside, _beside(case.world.to_local(found.end.point[None]), axis, case, -1)])
     errors = dict(zip(("tip_side", "tip_normal", "tip_along"), beside[-1], strict=True))
-    normal_sd = found.normal_sd or float(found.tip_sd[1])
+    normal_sd = found.normal_sd or float(found.end.sd[1])
     return (
         line
         | errors
@@ -166,8 +166,8 @@ def trace_narrow(row: Row, cache: Path) -> dict[str, object]:
             "tip_across": np.hypot(*beside[-1, :2]),
             "normal_sd": normal_sd,
         }
-        | _count_inside("tip_along", beside[-1:, 2], found.tip_sd[:1])
-        | _count_inside("tip_side", beside[-1:, 0], found.tip_sd[1:])
+        | _count_inside("tip_along", beside[-1:, 2], found.end.sd[:1])
+        | _count_inside("tip_side", beside[-1:, 0], found.end.sd[1:])
         | _count_inside("tip_normal", beside[-1:, 1], np.array([normal_sd]))
         | _count_inside("axis_side", beside[:-1, 0], found.sd)
         | _count_inside("axis_normal", beside[:-1, 1], found.sd)
@@ -248,7 +248,7 @@ def _measure_errors(one: Reconstruction, case: Case) -> dict[str, object]:
     tangent = (axis[-1] - axis[-20]) / np.linalg.norm(axis[-1] - axis[-20])
     # in the world as it lies in the scan: the registration's error is another column
     local = case.world.to_local(one.needle_axis.points)
-    miss = case.world.to_local(one.needle_axis.tip[None])[0] - axis[-1]
+    miss = case.world.to_local(one.needle_axis.end.point[None])[0] - axis[-1]
     along = float(miss @ tangent)
     across = float(np.linalg.norm(miss - along * tangent))
     inside = axis[axis[:, 0] >= 0]
@@ -256,7 +256,7 @@ def _measure_errors(one: Reconstruction, case: Case) -> dict[str, object]:
     marked = np.array([inside[0], axis[-1]])
     moved = one.patient.to_world(case.world.to_world(marked)) - marked
     entry = float(case.world.to_local(one.patient.to_local(one.pose.origin[None]))[0, 0])
-    bevel = case.world.rotation.T @ one.needle_axis.bevel
+    bevel = case.world.rotation.T @ one.needle_axis.end.bevel
     angle = np.degrees(np.arccos(np.clip(bevel @ case.bevel / np.linalg.norm(bevel), -1, 1)))
     crossed = np.array([[np.interp(x, axis[:, 0], axis[:, n]) for n in range(3)] for x in case.interfaces])
     same = len(one.layers.points) == len(crossed)
@@ -264,9 +264,9 @@ def _measure_errors(one: Reconstruction, case: Case) -> dict[str, object]:
     errors: dict[str, object] = {
         "axis": float(np.hypot(*_beside(local, axis, case)[:, :2].T).mean()),
         "tip_along": along,
-        "tip_along_sd": float(one.needle_axis.tip_sd[0]),
+        "tip_along_sd": float(one.needle_axis.end.sd[0]),
         "tip_across": across,
-        "tip_across_sd": float(one.needle_axis.tip_sd[1]),
+        "tip_across_sd": float(one.needle_axis.end.sd[1]),
         "entry": entry,
         "entry_sd": one.pose.along_sd,
         "length": one.depth - true_length,
@@ -276,7 +276,7 @@ def _measure_errors(one: Reconstruction, case: Case) -> dict[str, object]:
         "crossing": float(crossings.max()),
         "bevel_deg": float(angle),
         "bevel_stated": bool(np.isfinite(angle)),
-        "bevel_sd_deg": float(np.degrees(one.needle_axis.roll_sd)),
+        "bevel_sd_deg": float(np.degrees(one.needle_axis.end.roll_sd)),
         "tip_warned": any(list_tip_warnings(one)),
         "warnings": len(one.warnings),
         "what": " | ".join(one.warnings),

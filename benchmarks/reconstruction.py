@@ -149,14 +149,14 @@ def coverage(found: Centerline, case: Case) -> dict[str, float]:
     sides = off @ np.stack([u, np.cross(tangent, u)]).T  # (N, 2)
     return {
         "covered": float(np.mean(np.abs(sides) <= found.sd[:, None])),
-        "tip_covered_along": float(abs((found.tip - case.axis[-1]) @ tangent) <= found.tip_sd[0]),
-        "tip_covered_across": float(np.mean(np.abs(sides[-1]) <= found.tip_sd[1])),
+        "tip_covered_along": float(abs((found.end.point - case.axis[-1]) @ tangent) <= found.end.sd[0]),
+        "tip_covered_across": float(np.mean(np.abs(sides[-1]) <= found.end.sd[1])),
         "sd": float(found.sd.mean()),
         "bevel_deg": float(
-            np.rad2deg(np.arccos(np.clip(found.bevel @ bevel_side(case.scene.needles[0]), -1, 1)))
+            np.rad2deg(np.arccos(np.clip(found.end.bevel @ bevel_side(case.scene.needles[0]), -1, 1)))
         ),
-        "tip_sd": float(found.tip_sd[0]),
-        "tip_sd_across": float(found.tip_sd[1]),
+        "tip_sd": float(found.end.sd[0]),
+        "tip_sd_across": float(found.end.sd[1]),
     }
 
 
@@ -188,7 +188,9 @@ def one(task: tuple[int, str]) -> list[dict[str, float | str]]:
         seconds = time.process_time() - start
     except DataError as error:
         return [{"way": "needlefit", "kind": kind, "seed": seed, "failure": str(error)}]
-    ours = row("needlefit", found.points, found.tip, case) | coverage(found, case) | {"seconds": seconds}
+    ours = (
+        row("needlefit", found.points, found.end.point, case) | coverage(found, case) | {"seconds": seconds}
+    )
     return [{"kind": kind, "seed": seed} | r for r in [ours, *measure_baselines(volume, needle, case)]]
 
 

@@ -46,13 +46,13 @@ def test_needles_of_known_equation(name):
     errors = cases.off(line.points, truth)
     assert errors.mean() < 0.03
     assert errors.max() < 0.10
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.12
-    assert_allclose(line.points[-1], line.tip)
+    assert np.linalg.norm(line.end.point - truth[-1]) < 0.12
+    assert_allclose(line.points[-1], line.end.point)
     steps = np.linalg.norm(np.diff(line.points, axis=0), axis=1)
     assert_allclose(steps, steps.mean(), rtol=0.02)  # even in arc length
     assert line.sd.shape == (len(line.points),)
     assert 0 < line.sd.max() < 0.1
-    assert line.bevel @ [0, 1, 0] > 0.9
+    assert line.end.bevel @ [0, 1, 0] > 0.9
 
 
 def test_a_needle_is_followed_along_three_points_and_a_tip_beside_it_is_refused():
@@ -62,14 +62,16 @@ def test_a_needle_is_followed_along_three_points_and_a_tip_beside_it_is_refused(
     rough = follow.follow_points(volume, points, cases.RECIPE)
     line = centerline.trace_needle(volume, rough, cases.RECIPE)
     assert cases.off(line.points, truth).max() < 0.10
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.12 and line.points[0, 2] < 1.0  # it leaves the volume
+    assert (
+        np.linalg.norm(line.end.point - truth[-1]) < 0.12 and line.points[0, 2] < 1.0
+    )  # it leaves the volume
     rod = follow.select_axis_voxels(volume, rough)
     assert abs(rod.length - 40.5) < 2.0
     refusal(DataError, "", follow.follow_points, volume, points + np.array([0, 6.0, 0]), cases.RECIPE)
     refusal(DataError, "", follow.follow_points, volume, points[:2], cases.RECIPE)
     line = centerline.trace_needle(volume, rod, cases.RECIPE, tip=truth[-1] + [0.2, 0.2, 0])
     assert cases.off(line.points, truth).max() < 0.15
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.3
+    assert np.linalg.norm(line.end.point - truth[-1]) < 0.3
     refusal(
         DataError, "", centerline.trace_needle, volume, rod, cases.RECIPE, None, truth[-1] + [0.0, 5.0, 0]
     )
@@ -90,20 +92,20 @@ def test_slices_of_a_tilted_gantry_show_the_same_needle():
     direction = np.column_stack([[1.0, 0, 0], [0, 1.0, 0], step / spacing[2]])
     line = found(Volume(values, -50 * step * [0, 1, 0], spacing, direction))
     assert cases.off(line.points, truth).mean() < 0.03
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
+    assert np.linalg.norm(line.end.point - truth[-1]) < 0.15
 
 
 def test_an_end_that_is_no_needle_s_misfits():
     """The misfit of needles alone is 0.02; MAX_END_MISFIT, from which on it is spoken of, 0.14."""
     truth = cases.axis(curve=(1.0, 2.0))
     volume = cases.scan(truth)
-    assert found(volume).misfit < 0.05
+    assert found(volume).end.misfit < 0.05
     values = volume.values.copy()
     values[60:] = np.roll(values[60:], 3, axis=2)  # by 1.38 mm
     balls = {"markers": SceneMarkers(truth[-1:], radius=1.0)}
     for changed in (replace(volume, values=values), cases.scan(truth, scene=balls)):
-        assert 0.14 < found(changed).misfit < 0.3
-    assert found(volume, cases.recipe(needle={"diameter_mm": 2.1})).misfit > 0.14
+        assert 0.14 < found(changed).end.misfit < 0.3
+    assert found(volume, cases.recipe(needle={"diameter_mm": 2.1})).end.misfit > 0.14
 
 
 @pytest.mark.parametrize("bevel_deg", [20.0, 60.0, 90.0])
@@ -111,21 +113,21 @@ def test_a_bevel_that_contradicts_the_recipe_s_30_degrees_is_fitted_and_named(be
     """With the angle of the recipe the tip is 0.2 mm short, 0.33 and 0.71 mm too far."""
     line = found(cases.scan(TRUTH, bevel_deg=bevel_deg))
     # this scan averages attenuations over a slice, a scanner intensities, as the model does
-    assert np.linalg.norm(line.tip - TRUTH[-1]) < 0.17
-    assert abs(line.bevel_deg - bevel_deg) < 12.0
-    assert np.isnan(found(cases.scan(TRUTH)).bevel_deg)
+    assert np.linalg.norm(line.end.point - TRUTH[-1]) < 0.17
+    assert abs(line.end.bevel_deg - bevel_deg) < 12.0
+    assert np.isnan(found(cases.scan(TRUTH)).end.bevel_deg)
 
 
 @pytest.mark.sweep
 def test_ends_in_tissue():
     truth = cases.axis()[34:]  # base in air, 6 mm above the face
     line = found(cases.scan(truth))
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
+    assert np.linalg.norm(line.end.point - truth[-1]) < 0.15
     truth = cases.axis()[48:]  # base 4 mm under the face
     volume = cases.scan(truth)
     refusal(DataError, "entry_direction", found, volume)
     line = found(volume, cases.recipe(centerline={"entry_direction": [0, 0, 1]}))
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
+    assert np.linalg.norm(line.end.point - truth[-1]) < 0.15
 
 
 @pytest.mark.parametrize("beside", [0.0, 0.5])
@@ -152,7 +154,7 @@ def beside_face(away):
 
 
 def test_a_needle_beside_a_face_ends_where_it_does_and_one_that_the_face_cuts_is_drawn(tmp_path):
-    assert np.linalg.norm(found(beside_face(2.6)).tip - cases.axis()[-1]) < 0.12
+    assert np.linalg.norm(found(beside_face(2.6)).end.point - cases.axis()[-1]) < 0.12
     write_volume(beside_face(0.7), tmp_path / "cut.nrrd")
     (refused,) = reconstruct_needles(Scan("cut", tmp_path / "cut.nrrd", "box"), cases.RECIPE)
     assert refused.error.where == "what a threshold shows of the needle" and refused.picture is not None
@@ -184,8 +186,8 @@ def test_a_blunt_needle_has_no_side_and_the_shipped_recipe_states_the_defaults()
     truth = cases.axis(tip=(1.0, 2.0, 28.0))
     line = found(cases.scan(truth, bevel_deg=90.0), cases.recipe(needle={"bevel_deg": 90.0}))
     # this scan averages attenuations over a slice, a scanner intensities, as the model does
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.06
-    assert np.isnan(line.bevel).all()
+    assert np.linalg.norm(line.end.point - truth[-1]) < 0.06
+    assert np.isnan(line.end.bevel).all()
     shipped = load(Path(__file__).parents[1] / "configs/reconstruction/default.toml", ReconstructionRecord)
     assert shipped.model_copy(update={"title": ""}) == cases.RECIPE
 
@@ -237,11 +239,11 @@ def test_a_needle_near_thick_slices_does_not_follow_their_staircase(tilt, overla
     errors = cases.off(line.points[:-1], truth[0] + s * (truth[1] - truth[0]))
     assert errors.mean() < 0.04
     assert errors.max() < 0.15
-    assert np.linalg.norm(line.tip - truth[1]) < 0.5
+    assert np.linalg.norm(line.end.point - truth[1]) < 0.5
     assert 0 < line.normal_sd < 0.5
     hidden = line.sections.shared_along
     assert np.linalg.norm(hidden) == pytest.approx(abs(hidden @ [0, 0, 1])) and 0 < abs(hidden[2]) < 0.5
-    assert np.isnan([*line.bevel, line.roll_sd]).all()  # blunt
+    assert np.isnan([*line.end.bevel, line.end.roll_sd]).all()  # blunt
     assert line.step is None
 
 
@@ -262,7 +264,7 @@ def test_thin_slices_are_fitted_as_a_whole_where_their_rays_pass_6_mm_of_the_nee
     s = np.linspace(0, 1, 500)[:, None]
     assert (line.normal_sd > 0) == whole
     assert cases.off(line.points[:-1], truth[0] + s * (truth[1] - truth[0])).mean() < 0.01
-    assert np.linalg.norm(line.tip - truth[1]) < 0.3
+    assert np.linalg.norm(line.end.point - truth[1]) < 0.3
 
 
 @pytest.mark.parametrize(("tilt", "hu", "power"), [(6.0, 2500, 0.6), (8.0, 2500, 1.0), (8.0, 3000, 1.0)])
@@ -272,4 +274,4 @@ def test_a_rod_that_stops_few_rays_is_traced_by_its_sections(tilt, hu, power):
     line = found(volume, cases.recipe(needle={"bevel_deg": 90}, centerline={"entry_direction": [1, 0, 0]}))
     s = np.linspace(0, 1, 500)[:, None]
     assert cases.off(line.points[:-1], truth[0] + s * (truth[1] - truth[0])).mean() < 0.12
-    assert np.linalg.norm(line.tip - truth[1]) < 0.6
+    assert np.linalg.norm(line.end.point - truth[1]) < 0.6

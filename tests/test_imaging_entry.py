@@ -21,6 +21,7 @@ from needlefit.imaging.checks import compare_poses
 from needlefit.imaging.entry import choose_entry
 from needlefit.imaging.materials import list_materials
 from needlefit.imaging.needle.centerline import Centerline
+from needlefit.imaging.needle.tip import TipFit
 from needlefit.imaging.pose import find_first_contact, pose_from_shaft
 from needlefit.imaging.reconstruct import Examination, VolumeSearch, examine
 from needlefit.imaging.reconstruction import EntryChoice, EntryPlace, EntryPose, IntensityProfile, NeedleImage
@@ -39,7 +40,8 @@ def fit_shaft(origin, direction, bend=0.0, turn=0.0, shown=40.0):
     side = np.linalg.svd(np.outer(direction, direction))[0][:, 1]
     deflection = bend * (3 * x**2 - 2 * x**3) + turn * FREE * (x**3 - x**2)
     points = np.asarray(origin) + np.outer(s, direction) + np.outer(deflection, side)
-    needle = Centerline(points, np.full(len(s), 0.005), points[-1], np.zeros(2), np.zeros(3))
+    end = TipFit(s[-1], points[-1], np.zeros(2), np.zeros(3), np.nan)
+    needle = Centerline(points, np.full(len(s), 0.005), end)
     scan = Scan("a", Path("a.nrrd"), "box", guide_distance=FREE)
     nothing = IntensityProfile(np.empty(0), np.empty(0))
     image = NeedleImage(

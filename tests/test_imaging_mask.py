@@ -47,7 +47,7 @@ def test_a_mask_replaces_the_thresholds(volume, mask, tmp_path):
     refusal(DataError, "2 needles", segmentation.select_needle, volume, cases.RECIPE)
     points = read_mask_points(saved(tmp_path, mask))
     line = trace_needle(volume, follow_points(volume, points, cases.RECIPE), cases.RECIPE)
-    assert np.linalg.norm(line.tip - TRUTH[-1]) < 0.15
+    assert np.linalg.norm(line.end.point - TRUTH[-1]) < 0.15
 
 
 @pytest.mark.parametrize("moved", [{"origin": (0.0, 0, 200.0)}, {"origin": (-4.0, -3.0, 0)}])
@@ -104,7 +104,7 @@ def test_a_hub_on_the_shaft_is_cut_off(radius):
     assert 5.0 < low < 9.0
     assert_allclose(high, spans(segmentation.select_needle(scan(), cases.RECIPE).needle)[1], atol=0.5)
     line = trace_needle(volume, part, cases.RECIPE)
-    assert line.tip[2] > 38  # the hub's end is no tip
+    assert line.end.point[2] > 38  # the hub's end is no tip
 
 
 def test_a_shorter_tube_is_named_and_of_two_long_ones_the_stated_diameter_taken():

@@ -37,27 +37,28 @@ def list_tip_warnings(result: Reconstruction) -> Iterator[str]:
     """Yield what a person should know of the needle's image and its end."""
     needle = result.needle_axis
     if (step := needle.step) is not None:
-        away = float(np.linalg.norm(needle.tip - step.place))
+        away = float(np.linalg.norm(needle.points[-1] - step.place))
         yield (
             f"from one slice to the next, {away:.0f} mm before the tip (L, P, S = "
             f"{', '.join(f'{x:.0f}' for x in step.place)} mm), the needle goes on about {step.size:.1f} mm "
             "beside itself: the patient moved, or slices are missing or repeated; leave this scan out"
         )
-    if needle.tip_sd[0] > MM.TIP_DOUBT:
-        yield f"the tip is known to ± {needle.tip_sd[0]:.2f} mm only along the needle"
+    if needle.end.sd[0] > MM.TIP_DOUBT:
+        yield f"the tip is known to ± {needle.end.sd[0]:.2f} mm only along the needle"
     if needle.normal_sd > MM.TIP_DOUBT:
         yield (
             "the slices do not show well where along their normal the needle lies: tip "
             f"± {needle.normal_sd:.2f} mm; scan it across the slices, or with thinner ones"
         )
-    if needle.misfit > (PART.SLICE_MISFIT if needle.normal_sd else PART.END_MISFIT):
+    if needle.end.misfit > (PART.SLICE_MISFIT if needle.normal_sd else PART.END_MISFIT):
         yield (
-            f"the image of the needle's end differs from that of the model by {100 * needle.misfit:.0f} % of "
-            "its brightness: another diameter or bevel than stated, or metal or air beside it; look at it"
+            f"the image of the needle's end differs from that of the model by "
+            f"{100 * needle.end.misfit:.0f} % of its brightness: "
+            "another diameter or bevel than stated, or metal or air beside it; look at it"
         )
-    if np.isfinite(needle.bevel_deg):
+    if np.isfinite(needle.end.bevel_deg):
         yield (
-            f"the image shows a bevel of {needle.bevel_deg:.0f} degrees, which contradicts "
+            f"the image shows a bevel of {needle.end.bevel_deg:.0f} degrees, which contradicts "
             "needle.bevel_deg: the "
             "tip was fitted with the angle that the image shows; correct the recipe"
         )
@@ -138,11 +139,11 @@ def _list_plane_warnings(result: Reconstruction) -> Iterator[str]:
             f"the tip lies {abs(deflection):.2f} ± {error:.2f} mm beside the entry axis, which determines no "
             "bending plane: its deflection is biased upward; state the bevel's direction"
         )
-    bevel = result.patient.rotation @ needle.bevel
+    bevel = result.patient.rotation @ needle.end.bevel
     if scan.bevel is not None and np.isfinite(bevel).all():
         facing = normalize(bevel - (bevel @ forward) * forward)
         angle = float(np.arccos(np.clip(scan.side * across @ facing, -1, 1)))
-        if angle > SD.DISAGREEMENT * needle.roll_sd:
+        if angle > SD.DISAGREEMENT * needle.end.roll_sd:
             yield f"the bevel seen at the tip points {np.degrees(angle):.0f} degrees away from the one stated"
 
 

@@ -183,7 +183,7 @@ class Reconstruction(NeedleImage):
     @property
     def depth_sd(self) -> float:
         """Deviation of the inserted arc length, mm."""
-        return float(np.hypot(self.needle_axis.tip_sd[0], self.pose.along_sd))
+        return float(np.hypot(self.needle_axis.end.sd[0], self.pose.along_sd))
 
     @property
     def target_error(self) -> Floats:

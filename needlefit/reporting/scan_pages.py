@@ -114,7 +114,7 @@ def paint_needle_section(reconstruction: Reconstruction) -> Figure:
     for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True)):
         names = " → ".join(map(str, layers.sequence[n : n + 2]))
         marks.append((float(depth), float(sd), LAYER_COLOUR, names))
-    marks.append((float(tip), float(reconstruction.needle_axis.tip_sd[0]), TIP_COLOUR, "tip"))
+    marks.append((float(tip), float(reconstruction.needle_axis.end.sd[0]), TIP_COLOUR, "tip"))
 
     def overlay(axes: Axes, view: ScanView, span: Span) -> None:
         draw_reconstruction(axes, view, reconstruction, span)

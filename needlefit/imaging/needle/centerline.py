@@ -41,17 +41,10 @@ class Centerline:
     # (N,); standard deviation of each in any one direction across the needle, mm; neighbours share most of
     # it.
     sd: Floats
-    tip: Floats  # (3,); where the axis ends, as far as the bevel's point reaches
-    # (2,); standard deviation of the tip along the needle, and in any one direction across, mm.
-    tip_sd: Floats
-    # (3,); unit vector across the needle to the side of the bevel's point; nan for a blunt needle, and where
-    # the scan does not show the side.
-    bevel: Floats
+    # The last of the points, with its deviations along the needle and in any one direction across.
+    end: TipFit
     # Cross-sections and spline, LPS, arc lengths from the first point; None where no scan was traced.
     sections: SplineSections | None = None
-    roll_sd: float = np.nan  # deviation of the side seen, about the needle, rad; nan for a blunt needle
-    misfit: float = 0.0  # how far the image of the end is from the model, in parts of its brightness
-    bevel_deg: float = np.nan  # angle of the bevel that the image shows, where it contradicts the stated one
     # Deviation of the tip along the slices' normal, mm, of a needle near thick slices; otherwise 0.
     normal_sd: float = 0.0
     step: Step | None = None  # where the rest of the needle lies beside it, from one slice on
@@ -273,10 +266,10 @@ def _sample_centerline(
     s = np.linspace(0.0, end.at, count)
     heel = bevel_length(recipe.needle) + MM.BEVEL_MARGIN
     swung = end.sd[1] * np.clip((s - end.at + heel) / heel, 0, 1)  # the rod alone holds the axis there
-    # what neighbours share of a needle near thick slices is in the spline's own deviation already
-    hidden = 0.0 if axis.slice_sds is None else float(np.sqrt(np.mean(axis.slice_sds[1] ** 2) / 2))
     sd = np.hypot(np.maximum(axis_sd(axis, s), swung), MM.GRID_SD)
-    points, tip_sd = axis.spline(s), np.array([end.sd[0], sd[-1]])
+    points = axis.spline(s)
+    # what neighbours share of a needle near thick slices is in the spline's own deviation already
+    hidden = np.zeros(1) if axis.slice_sds is None else axis.slice_sds[1]
     drawn = SplineSections(
         q=axis.s,
         s=np.interp(axis.s, s, arc_length(points)),
@@ -285,20 +278,10 @@ def _sample_centerline(
         knots=axis.spline.t,
         sigma=float(np.sqrt(axis.variance)),
         shared_sd=MM.GRID_SD,
-        shared_along=np.sqrt(2) * hidden * volume.grid.normal,  # `hidden` is that in any one direction
+        shared_along=np.sqrt(np.mean(hidden**2)) * volume.grid.normal,
     )
-    return Centerline(
-        points,
-        sd,
-        points[-1],
-        tip_sd,
-        end.bevel,
-        drawn,
-        end.roll_sd,
-        end.misfit,
-        end.bevel_deg,
-        0.0 if axis.slice_sds is None else float(axis.slice_sds[1, -1]),
-    )
+    end = replace(end, point=points[-1], sd=np.array([end.sd[0], sd[-1]]))
+    return Centerline(points, sd, end, drawn, float(hidden[-1]))
 
 
 def _soft_lengths(volume: Volume, axis: AxisSpline) -> tuple[float, float]:
