@@ -2,23 +2,40 @@
 
 import numpy as np
 from numpy.testing import assert_allclose
+from refusals import refusal
 
+from needlefit.errors import DataError
 from needlefit.imaging.needle.hub import find_hub
-from needlefit.imaging.needle.segmentation import find_tubes
+from needlefit.imaging.needle.segmentation import find_tubes, select_needle
 from needlefit.imaging.volume import Volume, to_index, to_patient, turn_slices
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
+RECIPE = ReconstructionRecord.model_validate(
+    {"schema": 2, "needle": {"length_mm": 100, "diameter_mm": 1.27, "bevel_deg": 30}}
+)
+NOISE = np.random.default_rng(1).normal(0, 20, (8, 40, 200)).astype(np.float32)
+
+
+def in_slices(values):
+    return Volume(values, np.zeros(3), np.array([0.4, 0.4, 2.0]), np.eye(3))
+
 
 def test_pieces_of_a_needle_in_successive_slices_are_one_tube():
-    spacing = np.array([0.4, 0.4, 2.0])
-    values = np.random.default_rng(1).normal(0, 20, (8, 40, 200)).astype(np.float32)
+    values = NOISE.copy()
     for n, k in enumerate(range(2, 6)):  # 9 mm of the needle in each slice, and 6 mm that rays hide
         values[k, 19:22, 20 + 38 * n : 43 + 38 * n] = 3000
-    recipe = ReconstructionRecord.model_validate(
-        {"schema": 2, "needle": {"length_mm": 100, "diameter_mm": 1.27, "bevel_deg": 30}}
-    )
-    (tube,) = find_tubes(Volume(values, np.zeros(3), spacing, np.eye(3)), recipe)
+    (tube,) = find_tubes(in_slices(values), RECIPE)
     assert (tube.voxels[:, 0].min(), tube.voxels[:, 0].max()) == (20, 156)
+
+
+def test_a_needle_half_way_between_two_slices_is_found_beside_a_brighter_rod():
+    values = NOISE.copy()
+    values[3, 10:15, 20:100] = 3000
+    values[4, 10:15, 105:175] = 1100  # the rod goes on
+    values[3:5, 25:28, 20:170] = 1100
+    rod, needle = find_tubes(in_slices(values), RECIPE)
+    assert (rod.voxels[:, 1] < 15).all() and (needle.voxels[:, 1] >= 25).all()
+    refusal(DataError, "2 needles", select_needle, in_slices(values), RECIPE)
 
 
 def test_a_hub_before_a_needle_is_found_and_slices_along_another_axis_are_turned():

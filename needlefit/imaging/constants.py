@@ -101,7 +101,7 @@ class PART:
     """Fractions and factors, without a unit."""
 
     WIDENING = 2.5  # width of a needle's image over its own [R]
-    SECOND_NEEDLE = 0.6  # of the longest one's length and brightness
+    SECOND_NEEDLE = 0.6  # of the longest one's length
     DIVIDED_NEEDLE = 0.4  # the same, where all needles are wanted
     CLEAR = 1.5  # of two widths, or soft lengths, that are not of one thing, a ball's among them
     # Of the way from tissue to metal; the last where a plate hangs together with the needle
