@@ -68,7 +68,7 @@ def test_a_needle_is_followed_along_three_points_and_a_tip_beside_it_is_refused(
     rod = follow.select_axis_voxels(volume, rough)
     assert abs(rod.length - 40.5) < 2.0
     refusal(DataError, "", follow.follow_points, volume, points + np.array([0, 6.0, 0]), cases.RECIPE)
-    refusal(DataError, "", follow.follow_points, volume, points[:2], cases.RECIPE)
+    refusal(DataError, "", follow.follow_points, volume, points[[0, 1, 1]], cases.RECIPE)
     line = centerline.trace_needle(volume, rod, cases.RECIPE, tip=truth[-1] + [0.2, 0.2, 0])
     assert cases.off(line.points, truth).max() < 0.15
     assert np.linalg.norm(line.end.point - truth[-1]) < 0.3
@@ -158,6 +158,7 @@ def test_a_needle_beside_a_face_ends_where_it_does_and_one_that_the_face_cuts_is
     write_volume(beside_face(0.7), tmp_path / "cut.nrrd")
     (refused,) = reconstruct_needles(Scan("cut", tmp_path / "cut.nrrd", "box"), cases.RECIPE)
     assert refused.error.where == "what a threshold shows of the needle" and refused.picture is not None
+    assert "0.7 mm" in refused.error.what
     drawn = refused.points.points
     assert cases.off(drawn, cases.axis()).max() < 1.0 and np.ptp(drawn[:, 2]) > 30.0
 

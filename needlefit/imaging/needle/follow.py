@@ -19,7 +19,7 @@ from needlefit.imaging.needle.axis_spline import (
     frames_along,
 )
 from needlefit.imaging.needle.segmentation import Component, measure_component, principal_axes
-from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.imaging.volume import Volume, measure_face_distance, to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -53,6 +53,7 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
 
     The points may be in any order. DataError if they are fewer than `MIN_POINTS`, or no needle shows there.
     """
+    points = np.unique(points, axis=0)
     if len(points) < MIN_POINTS:
         raise DataError(
             f"{len(points)} points are on the needle",
@@ -99,10 +100,13 @@ def _follow(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> Axi
         places = places + np.where(shown[:, None], shifts, 0.0)
     level = float(np.median(amplitude))
     if level < HU.METAL_CONTRAST / 2 or shown.mean() < PART.SHOWN:
+        away = max(0.0, float(np.median(measure_face_distance(volume, places))))
+        outside = f"lies {away:.1f} mm from the volume's face: its surroundings are outside"
+        dark = 100 * (1 - shown.mean())
+        faint = f"is {level:.0f} HU brighter than its surroundings, and faint on {dark:.0f} %"
         raise DataError(
-            f"is {level:.0f} HU brighter than what surrounds it in the volume, and faint on "
-            f"{100 * (1 - shown.mean()):.0f} %",
-            expected="a needle, and what surrounds it",
+            outside if away < MM.PATCH else faint,
+            expected=f"a needle, and {MM.PATCH:g} mm of what surrounds it",
             fix="scan more around it; take back points that are not on it: RAS has x and y of the other sign",
         )
     places = places[shown]
@@ -130,10 +134,9 @@ def _extend(volume: Volume, places: Floats, level: float, recipe: Reconstruction
     longest = thickness + 2 * MM.BEYOND_END if thickness else 0.0
     while faint <= MM.EDGE_BLUR and hidden <= longest:
         recent = np.array(known[-round(2 * MM.KNOT / STEP_MM) :])
-        way = np.linalg.svd(recent - recent.mean(axis=0), full_matrices=False)[2][0]
-        way *= np.sign(way @ (recent[-1] - recent[0]))
-        start = recent.mean(axis=0) + way * ((recent[-1] - recent.mean(axis=0)) @ way)
-        here = start + way * (STEP_MM + faint + hidden)
+        middle, (way, *_) = principal_axes(recent)
+        way = way * np.sign(way @ (recent[-1] - recent[0]))
+        here = middle + way * ((recent[-1] - middle) @ way + STEP_MM + faint + hidden)
         where = frames_along(np.stack([here - way, here, here + way]))
         shifts, amplitude, around = find_sections(volume, where, recipe.needle.diameter_mm)
         beside = float(np.linalg.norm(shifts[1]))
