@@ -182,7 +182,8 @@ def test_a_header_and_the_voxels_beside_it(tmp_path):
         voxels.write_bytes(data)
         check_plain(read_volume(path))
         assert list_series_files(path) == [path, voxels]
-    path.write_bytes(path.read_bytes().replace(b"ElementSpacing", b"Spacing"))
+    behind_header = bytes(2**16) + b"\nElementSpacing = 1 1 1"
+    path.write_bytes(path.read_bytes().replace(b"ElementSpacing", b"Spacing") + behind_header)
     assert "ElementSpacing" in refused(path).expected
 
 

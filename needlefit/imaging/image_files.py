@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from needlefit.errors import DataError, NeedlefitError, located
 from needlefit.geometry.frames import RAS_TO_LPS
 from needlefit.imaging.volume import READABLE_VOLUMES, VoxelGrid, check_grid, fill_unknown
-from needlefit.imaging.volume_files import list_series_files
-from needlefit.project.input_files import MAX_CONFIG_BYTES
+from needlefit.imaging.volume_files import MAX_HEADER_BYTES, list_series_files
 from needlefit.project.reader_process import Arrays, Planes, allow_memory
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
@@ -132,7 +131,7 @@ def _check_header(file: Path, total_bytes: int) -> None:
     `total_bytes`: of all voxels.
     """
     with file.open("rb") as content:
-        header = content.read(MAX_CONFIG_BYTES)
+        header = content.read(MAX_HEADER_BYTES)
     is_meta = IMAGE_IOS[file.suffix.lower()] == "MetaImageIO"
     if is_meta and not re.search(rb"(?m)^Element(Spacing|Size)\s*=", header):
         raise DataError(

@@ -13,17 +13,11 @@ from tempfile import TemporaryDirectory
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES, Volume, max_voxels
 from needlefit.project.folders import MAX_LISTED_FILES
-from needlefit.project.input_files import (
-    MAX_CONFIG_BYTES,
-    is_dir,
-    is_file,
-    list_files,
-    open_regular,
-    path_exists,
-)
+from needlefit.project.input_files import is_dir, is_file, list_files, open_regular, path_exists
 from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process
 
 CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel", "skimage")
+MAX_HEADER_BYTES = 2**16  # part of an image file (bytes) that is searched as its header, a text
 DETACHED_SUFFIXES = (".nhdr", ".mhd")
 DATA_FILE = re.compile(rb"^(?:data ?file|ElementDataFile)\s*[:=]\s*(.*\S)", re.IGNORECASE | re.MULTILINE)
 READ_SECONDS = 600.0  # longest processor time (s) in which a file must be read: a damaged one may never end
@@ -119,7 +113,7 @@ def list_series_files(path: Path) -> list[Path]:
         return list_files(path)
     if path.suffix.lower() in DETACHED_SUFFIXES:
         with open_regular(path, sys.maxsize) as content:
-            stated = DATA_FILE.findall(content.read(MAX_CONFIG_BYTES))
+            stated = DATA_FILE.findall(content.read(MAX_HEADER_BYTES))
         return [path, *filter(is_file, (path.parent / os.fsdecode(name) for name in stated))]
     if path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)) or not begins_as_dicom(path):
         return [path]
