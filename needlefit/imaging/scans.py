@@ -18,7 +18,7 @@ from pydantic import (
     ValidationInfo,
     model_validator,
 )
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic_core import ErrorDetails
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
@@ -149,9 +149,12 @@ def _require_id(text: str) -> str:
 
 
 def _locate(file: str, info: ValidationInfo) -> Path:
-    path = Path(info.context or "", file)
-    if not path_exists(path) if info.field_name == "volume" else not is_file(path):
-        raise PydanticCustomError("no_file", "there is no file {path}", {"path": str(path)})
+    folder, is_folder_allowed = Path(info.context or ""), info.field_name == "volume"
+    path = folder / file
+    if not (path_exists(path) if is_folder_allowed else is_file(path)):
+        kind = "file or folder" if is_folder_allowed else "file"
+        problem = "is a folder" if path_exists(path) else "does not exist"
+        raise ValueError(f"a {kind}, whose path counts from {folder.absolute()}; {path} {problem}")
     if fault := name_fault(path.name):
         raise ValueError(f"{EXPECTED_NAME}; {fault}")
     return path
@@ -311,8 +314,6 @@ def _describe_fault(detail: ErrorDetails, place: str) -> Fault:
     """Return what is wrong with a cell, or with several, of the row at a place."""
     fix = "correct it, or leave it out with what belongs to it"
     text = re.sub("Value error, |Input should be |, unable to parse.*", "", detail["msg"])
-    if detail["type"] == "no_file":
-        return DataError(text, fix="check its name and path", where=place)
     if not detail["loc"]:
         return DataError(text, fix=fix, where=place)
     name, *part = map(str, detail["loc"])
@@ -320,7 +321,9 @@ def _describe_fault(detail: ErrorDetails, place: str) -> Fault:
     value = repr(detail["input"]) if isinstance(detail["input"], str) else "empty"
     if detail["type"] == "extra_forbidden":
         text = "a column of `needlefit explain scans.csv`"
-    return DataError(f"{column} is {value}", expected=text, fix=fix, where=place)
+    expected, _, problem = text.partition("; ")
+    what = f"{column} is {value}" + f": {problem}" * bool(problem)
+    return DataError(what, expected=expected, fix=fix, where=place)
 
 
 def find_owner(id_: str, ids: Container[str], is_divided: bool) -> str:
