@@ -161,7 +161,7 @@ PADDED = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) 
         ([*series(), a_slice(2, NUMBERS[2] + 1)], "006.dcm stands 0 mm behind 002.dcm", "006.dcm", ""),
         ([*series(), *series()], "stands 0 mm behind", "", ""),
         (series(**OVERVIEW), "is a localizer", "000.dcm", "series"),
-        (turned_slices(np.radians(40.0), [0, 0, 5]), "not perpendicular", "", "resample"),
+        (turned_slices(np.radians(40.0), [0, 0, 5]), "not perpendicular", "000.dcm", "resample"),
         (spoilt(2, ImagePositionPatient=[-9.0, 20.0, 31.8]), "0.9 mm behind 001.dcm and 1 mm", "002.dcm", ""),
         (spoilt(3, ImagePositionPatient=[-10.0, 20.0, 32.5]), "0.7 mm behind 002.dcm", "003.dcm", ""),
         (

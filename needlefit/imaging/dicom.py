@@ -209,7 +209,7 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
         for problem in _list_faults(item, first):
             expected = "plain slices of one CT volume in HU, with their places in the patient"
             raise DataError(problem, expected=expected, fix=EXPORT_FIX, where=item.file)
-    with located(first.file.parent):
+    with located(first.file):
         size = (int(first.data.Columns), int(first.data.Rows), len(slices))
         check_size(size)
         axes = first.number["ImageOrientationPatient"].reshape(2, 3)
