@@ -11,6 +11,7 @@ from pytest import approx
 from needlefit.datasets.read import check, read
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import transform_surface
+from needlefit.imaging import assembly
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked, assemble_dataset
 from needlefit.imaging.batch import reconstruct_all
 from needlefit.imaging.checks import collect_warnings
@@ -90,11 +91,16 @@ def test_any_surface_name_gives_a_valid_file_and_media_share_none(tmp_path):
     assert "layers/gel_b_c.stl" in failed[0].error.what and failed[0].error is failed[1].error
 
 
-def test_an_insertion_with_a_fault_is_left_out_and_reported(tmp_path):
+def test_an_insertion_with_a_fault_is_left_out_and_reported(tmp_path, monkeypatch):
+    checked = []
+    monkeypatch.setattr(assembly, "check", lambda folder: checked.append(folder) or check(folder))
+    assert assemble_checked(tmp_path / "all", [named("a"), named("c")], RECIPE, ABOUT)[1] == ()
+    assert len(checked) == 1
     backwards = named("b", points=small().points[::-1])
     kept, failed = assemble_checked(tmp_path / "out", [named("a"), backwards, named("c")], RECIPE, ABOUT)
     assert [one.scan.id for one in kept] == ["a", "c"]
     assert {one.scan.id for one in failed} == {"b"}
+    assert len(checked) == 1 + 1 + 3 + 1  # all, each alone, those without a fault
     assert check(tmp_path / "out") == []
     assert not (tmp_path / "out" / "centerlines" / "b.csv").exists()
     short = RECIPE.model_copy(update={"needle": RECIPE.needle.model_copy(update={"length_mm": 20.0})})

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from shutil import copytree
 from tempfile import TemporaryDirectory
 
 import numpy as np
@@ -201,42 +202,52 @@ def assemble_checked(
 
     Where all have a fault, or make no dataset together, nothing is written and the first tuple is empty.
     """
-    kept, failures = list[Reconstruction](), list[ReconstructionFailure]()
-    for needle in reconstructions:
-        if faults := _list_faults([needle], recipe, description):
-            what = "; ".join(dict.fromkeys(fault.what for fault in faults))
-            error = faults[0].replace(
-                what=f"gives no insertion that a dataset may hold: {what}", where=needle.scan.volume
-            )
-            failures.append(ReconstructionFailure(needle.scan, error, list_control_points(needle)))
-        else:
-            kept.append(needle)
-    if len(kept) > 1 and (faults := _list_faults(kept, recipe, description)):
-        shared = as_error(faults, Path(description.name))
-        failures += [
-            ReconstructionFailure(needle.scan, shared, list_control_points(needle)) for needle in kept
-        ]
-    elif kept:
-        assemble_dataset(folder, kept, recipe, description)
-        return tuple(kept), tuple(failures)
-    return (), tuple(failures)
+    errors: dict[str, Fault] = {}  # by the id of the needle
+    kept = reconstructions
+    if faults := _assemble_faultless(folder, kept, recipe, description):
+        for needle in reconstructions:
+            if own := _assemble_faultless(None, [needle], recipe, description):
+                what = "; ".join(dict.fromkeys(fault.what for fault in own))
+                errors[needle.scan.id] = own[0].replace(
+                    what=f"gives no insertion that a dataset may hold: {what}", where=needle.scan.volume
+                )
+        kept = [needle for needle in reconstructions if needle.scan.id not in errors]
+        if errors and kept:
+            faults = _assemble_faultless(folder, kept, recipe, description)
+        if faults:
+            shared = as_error(faults, Path(description.name))
+            errors |= {needle.scan.id: shared for needle in kept}
+            kept = []
+    return tuple(kept), tuple(
+        ReconstructionFailure(needle.scan, errors[needle.scan.id], list_control_points(needle))
+        for needle in reconstructions
+        if needle.scan.id in errors
+    )
 
 
-def _list_faults(
+def _assemble_faultless(
+    folder: Path | None,
     reconstructions: Sequence[Reconstruction],
     recipe: ReconstructionRecord,
     description: DatasetDescription,
 ) -> list[Fault]:
-    """Return the faults of the dataset that reconstructions make, with places from its folder."""
-    with TemporaryDirectory(prefix="needlefit-") as folder:
+    """Return the faults of the dataset of some reconstructions; write it into `folder` if it has none.
+
+    The places of faults count from the folder.
+    """
+    with TemporaryDirectory(prefix="needlefit-") as name:
+        fresh = Path(name, "dataset")
         try:
-            assemble_dataset(Path(folder), reconstructions, recipe, description)
+            assemble_dataset(fresh, reconstructions, recipe, description)
         except DataError as error:
             return [error]
-        return [
+        faults = [
             fault.replace(
-                where=fault.where.replace(f"{folder}/", ""),
+                where=fault.where.replace(f"{fresh}/", ""),
                 fix=fault.fix.replace("dataset.toml", "the recipe"),  # what its user has written
             )
-            for fault in check(Path(folder))
+            for fault in check(fresh)
         ]
+        if folder is not None and not faults:
+            copytree(fresh, folder, dirs_exist_ok=True)
+        return faults
