@@ -2,8 +2,8 @@
 
 Metal, tissue and air are distinguished by their attenuation, air by its -1000 HU. Hence only images made with
 X-rays are taken (cone-beam scanners and C-arms say CT, some XA), and only with a rescaling: what is stored is
-no HU, often these plus 1024. Slices of a tilted gantry lean; they are read where their positions say.
-SimpleITK would refuse these, and make up the places of missing slices: it unpacks voxels only.
+not HU but often HU + 1024. Slices of a tilted gantry lean; their positions are taken as stated. SimpleITK
+would refuse such slices, and invent the positions of missing ones: it is used to unpack voxels only.
 """
 
 import math
@@ -23,6 +23,7 @@ from scipy.linalg import polar
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError, located
 from needlefit.geometry.frames import UNIT_VECTOR_TOLERANCE
+from needlefit.grouping import group_values
 from needlefit.imaging.volume import SPACINGS_MM, VoxelGrid, check_grid, check_size, fill_unknown
 from needlefit.imaging.volume_files import list_series_files
 from needlefit.project.folders import MAX_LISTED_FILES
@@ -84,11 +85,11 @@ class DicomSlice:
         return "LOCALIZER" in (self.data.get("ImageType") or ())
 
 
-def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
-    """Read the one series that `path` refers to: add "values" and "grid" to the arrays; return warnings.
+def read_series(arrays: Arrays, path: str, series: str | None) -> tuple[list[str], dict[str, str]]:
+    """Read the one series that `path` refers to: add its values and its grid to the arrays; return warnings.
 
-    Values are rescaled slice by slice; voxels that were not measured (padding) get that of air. Localizers
-    are left out.
+    Values are rescaled slice by slice; voxels that were not measured (padding) get the value of air.
+    Localizers are left out.
 
     DataError if the series is not one sound stack, or a voxel cannot be read.
     """
@@ -96,13 +97,13 @@ def read_series(arrays: Arrays, path: str, series: str | None) -> list[str]:
     slices, grid = stack_slices([item for item in images if not item.is_localizer] or images)
     allow_memory(grid.size[0] * grid.size[1] * SLICE_BYTES_PER_PIXEL + 5 * math.prod(grid.size))  # and a mask
     values = arrays["values"] = np.empty(grid.size[::-1], np.float32)
-    arrays |= grid.placing
+    arrays |= vars(grid)
     for item, plane in zip(slices, values, strict=True):
         plane[...] = _read_plane(item)
     with located(path):
         fill_unknown(values)
     localizers = len(images) - len(slices)
-    return [f"{localizers} localizer(s) were left out"] * (localizers > 0)
+    return [f"{localizers} localizer(s) were left out"] * (localizers > 0), {}
 
 
 def read_header(file: Path) -> DicomSlice | None:
@@ -157,15 +158,12 @@ def find_series(path: Path, series: str | None) -> list[DicomSlice]:
                 where=path,
             )
         series = named.series
-    groups: dict[str, list[DicomSlice]] = {}
-    for item in map(read_header, list_series_files(path)):
-        if item is not None:
-            groups.setdefault(item.series, []).append(item)
+    headers = filter(None, map(read_header, list_series_files(path)))
+    groups = group_values((item.series, item) for item in headers)
     if series is None:  # stacks of slices made with X-rays, if there are any
         chosen = [*filter(_is_stack, groups.values())] or [*groups.values()]
     else:
-        meant = series.strip()
-        chosen = [group for uid, group in groups.items() if meant in (uid, group[0].text("SeriesNumber"))]
+        chosen = [group for uid, group in groups.items() if series in (uid, group[0].text("SeriesNumber"))]
     if len(chosen) == 1:
         return chosen[0]
     listed = map(_describe, [*(chosen or groups.values())][:MAX_LISTED_FILES])
@@ -181,10 +179,8 @@ def find_series(path: Path, series: str | None) -> list[DicomSlice]:
 
 def _is_stack(slices: Sequence[DicomSlice]) -> bool:
     """Whether a series is a stack made with X-rays, not an overview, one image or pictures of a report."""
-    placed = [
-        item for item in slices if len(item.number["ImagePositionPatient"]) == 3 and not item.is_localizer
-    ]
-    is_stack = len(placed) > 1 or "NumberOfFrames" in slices[0].data
+    placed = (len(item.number["ImagePositionPatient"]) == 3 and not item.is_localizer for item in slices)
+    is_stack = sum(placed) > 1 or "NumberOfFrames" in slices[0].data
     return is_stack and slices[0].text("Modality").upper() in XRAY_MODALITIES
 
 
@@ -224,7 +220,7 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
 
 
 def _list_faults(item: DicomSlice, first: DicomSlice) -> Iterator[str]:
-    """Yield what is wrong with one slice of a stack, also against the `first` one."""
+    """Yield what is wrong with one slice of a stack, and in what it differs from the `first` one."""
     number = item.number
     for name, allowed in PLAIN_ENTRIES.items():
         if (text := item.text(name).upper()) not in allowed:
@@ -249,12 +245,12 @@ def _list_faults(item: DicomSlice, first: DicomSlice) -> Iterator[str]:
 
 
 def _fit_steps(ordered: Sequence[DicomSlice], normal: Floats) -> tuple[Floats, Floats]:
-    """Return the place of the first slice and the step from slice to slice, (3,) each, mm.
+    """Return the position of the first slice and the step from slice to slice, (3,) each, mm.
 
-    By least squares: rounding of single positions must not add up over the stack. Slices are in their order
-    along the `normal` (3,).
+    They are fitted by least squares: rounding of single positions must not add up over the stack. Slices are
+    in their order along the `normal` (3,).
 
-    DataError if a slice is missing, stands twice, or lies elsewhere.
+    DataError if a slice is missing, is there twice, or lies beside the stack.
     """
     positions = np.array([item.number["ImagePositionPatient"] for item in ordered])  # (K, 3)
     count, rises = np.arange(len(ordered)), np.diff(positions, axis=0)

@@ -1,6 +1,6 @@
 """Read NRRD and MetaImage files by SimpleITK, which works in LPS, and NIfTI files by nibabel, from RAS.
 
-SimpleITK would make up where a NIfTI file stands that does not say it, and refuse slices of a tilted gantry.
+Of NIfTI files SimpleITK would invent a position where none is stated, and refuse slices of a tilted gantry.
 """
 
 import math
@@ -21,15 +21,16 @@ from needlefit.imaging.volume_files import MAX_HEADER_BYTES, list_series_files
 from needlefit.project.reader_process import Arrays, Planes, allow_memory
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
-# What reads a file's voxels (K, J, I), its grid, the bytes of a voxel, and texts of its header by their keys.
+# A function that reads the voxels (K, J, I) of a file, their grid, the bytes of one voxel, and the texts of
+# the header by their keys
 Image = tuple[Callable[[], NDArray[Any]], VoxelGrid, int, dict[str, str]]
 
 
-def read_image(arrays: Arrays, path: str) -> dict[str, Any]:
-    """Read an image file: add "values" and "grid" to the arrays; return warnings, and texts of the header.
+def read_image(arrays: Arrays, path: str) -> tuple[list[str], dict[str, str]]:
+    """Read an image file: add its values and grid to the arrays; return warnings, and texts of its header.
 
-    DataError if the file is none, is cut short, has not three dimensions, does not say in which coordinate
-    system it stands, or claims an absurd size.
+    DataError if the file is no image, is cut short, has not three dimensions, states no coordinate system,
+    or claims an absurd size.
     """
     with located(path):
         file = Path(path)
@@ -53,8 +54,8 @@ def read_image(arrays: Arrays, path: str) -> dict[str, Any]:
             ) from error
         notes = fill_unknown(values)
         arrays["values"] = values.view(Planes)
-        arrays |= grid.placing
-        return {"texts": texts, "warnings": notes}
+        arrays |= vars(grid)
+        return notes, texts
 
 
 def _open_nifti(file: Path) -> Image:
@@ -73,9 +74,9 @@ def _open_nifti(file: Path) -> Image:
     if (unit := header.get_xyzt_units()[0]) not in ("mm", "unknown"):
         raise DataError(f"its lengths are in {unit}", expected="lengths in mm", fix="save it in mm, as NRRD")
     affine = RAS_TO_LPS.rotation @ image.affine[:3]
-    columns, rows, slices = shape
+    columns, rows, _ = shape
     spacing = np.linalg.norm(affine[:, :3], axis=0)
-    grid = VoxelGrid((columns, rows, slices), affine[:, 3], spacing, affine[:, :3] / spacing)
+    grid = VoxelGrid(shape, affine[:, 3], spacing, affine[:, :3] / spacing)
     corners = np.array([[0, 0, 0, 1], [columns, 0, 0, 1], [0, rows, 0, 1]]).T  # of a slice: no qform leans
     other = header.get_qform() if header["qform_code"] else image.affine  # which is that of the sform, if any
     apart = np.linalg.norm(((image.affine - other) @ corners)[:3], axis=0).max()
@@ -85,12 +86,13 @@ def _open_nifti(file: Path) -> Image:
             expected="one place in the patient",
             fix="convert the scan from its DICOM series again, or remove the wrong one (its code is then 0)",
         )
-
-    def read() -> NDArray[np.float32]:
-        values = np.asarray(image.dataobj, dtype=np.float32)
-        return np.ascontiguousarray(values.reshape(shape).T)  # i runs fastest: its transpose is k, j, i
-
-    return read, grid, kind.itemsize, {}
+    # i runs fastest: the transpose is k, j, i
+    return (
+        lambda: np.ascontiguousarray(np.asarray(image.dataobj, np.float32).reshape(shape).T),
+        grid,
+        kind.itemsize,
+        {},
+    )
 
 
 def _open_itk(file: Path) -> Image:
@@ -98,9 +100,8 @@ def _open_itk(file: Path) -> Image:
     reader.SetImageIO(IMAGE_IOS[file.suffix.lower()])
     reader.SetFileName(str(file))
     reader.ReadImageInformation()
-    kind = re.fullmatch(
-        r"(\d+)-bit .*", sitk.GetPixelIDValueAsString(reader.GetPixelID())
-    )  # none of a vector
+    # none of a vector
+    kind = re.fullmatch(r"(\d+)-bit .*", sitk.GetPixelIDValueAsString(reader.GetPixelID()))
     _check_voxels(reader.GetSize(), kind is not None)
     texts = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
     space = texts.get("NRRD_space", "")  # where there is none SimpleITK makes up the patient's left
@@ -111,34 +112,17 @@ def _open_itk(file: Path) -> Image:
             expected="`space: left-posterior-superior` or another anatomical one in the header",
             fix="export it from a program that knows the patient's axes, such as 3D Slicer",
         )
-    columns, rows, slices = reader.GetSize()
     voxel_bytes = int(kind[1]) // 8 if kind else 0
-    _check_header(file, columns * rows * slices * voxel_bytes)
-    given = (reader.GetOrigin(), reader.GetSpacing(), reader.GetDirection())
-    origin, spacing, direction = map(np.array, given)
-    grid = VoxelGrid((columns, rows, slices), origin, spacing, direction.reshape(3, 3))
-
-    def read() -> NDArray[Any]:
-        # indexed k, j, i, the reverse of the image's sizes
-        return sitk.GetArrayFromImage(reader.Execute())
-
-    return read, grid, voxel_bytes, texts
-
-
-def _check_header(file: Path, total_bytes: int) -> None:
-    """Refuse a header that leaves out what SimpleITK would make up: a spacing, and where voxels begin.
-
-    `total_bytes`: of all voxels.
-    """
+    # what SimpleITK would make up, too: a spacing, and where voxels begin
     with file.open("rb") as content:
         header = content.read(MAX_HEADER_BYTES)
-    is_meta = IMAGE_IOS[file.suffix.lower()] == "MetaImageIO"
-    if is_meta and not re.search(rb"(?m)^Element(Spacing|Size)\s*=", header):
+    if reader.GetImageIO() == "MetaImageIO" and not re.search(rb"(?m)^Element(Spacing|Size)\s*=", header):
         raise DataError(
             "does not state the distances of its voxels",
             expected="`ElementSpacing = ` and three numbers, mm, in the header",
             fix="export the scan again, or add them",
         )
+    total_bytes = math.prod(reader.GetSize()) * voxel_bytes
     for data in list_series_files(file)[1:]:
         if (size := data.stat().st_size) > total_bytes:
             raise DataError(
@@ -146,6 +130,10 @@ def _check_header(file: Path, total_bytes: int) -> None:
                 expected="a file of voxels alone",
                 fix="save the scan as one file: .nrrd or .mha",
             )
+    direction = np.reshape(reader.GetDirection(), (3, 3))
+    grid = VoxelGrid(reader.GetSize(), np.array(reader.GetOrigin()), np.array(reader.GetSpacing()), direction)
+    # indexed k, j, i, the reverse of the image's sizes
+    return lambda: sitk.GetArrayFromImage(reader.Execute()), grid, voxel_bytes, texts
 
 
 def _check_voxels(shape: Sequence[int], are_numbers: bool) -> None:

@@ -1,6 +1,5 @@
 """Read segmentations: volumes in which every voxel holds the number of its layer."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import count, takewhile
 from pathlib import Path
@@ -11,10 +10,6 @@ from needlefit.errors import DataError, located
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import open_member, read_image_file
 
-EXPECTED_LABELS = (
-    "a .seg.nrrd, or another volume (NRRD, NIfTI, MetaImage) of a whole number for each voxel's layer, 0 "
-    "outside the tissue"
-)
 SAVE_FIX = "load the segmentation in 3D Slicer, contours (RTSTRUCT) too, and save it as .seg.nrrd"
 
 
@@ -42,11 +37,19 @@ def read_labels(path: Path) -> Labels:
         if not are_labels or not 1 <= len(present) <= np.iinfo(np.uint8).max:
             raise DataError(
                 f"holds {len(present)} values besides 0, {', '.join(map(str, present[:3]))} ...: no labels",
-                expected=EXPECTED_LABELS,
+                expected="a .seg.nrrd, or another volume (NRRD, NIfTI, MetaImage) of a whole number for each "
+                "voxel's layer, 0 outside the tissue",
                 fix=SAVE_FIX,
             )
         labels = [f"{value:.0f}" for value in present]
-        stated = _parse_segments(texts) or [(label, "") for label in labels]
+        numbers = takewhile(lambda n: f"Segment{n}_ID" in texts, count())
+        stated = [
+            (
+                texts.get(f"Segment{n}_LabelValue", f"{n + 1}").strip(),
+                texts.get(f"Segment{n}_Name", "").strip(),
+            )
+            for n in numbers
+        ] or [(label, "") for label in labels]
         if sorted(label for label, _ in stated) != sorted(labels):
             segments = ", ".join(f"{name} (label {label})" for label, name in stated)
             raise DataError(
@@ -55,12 +58,3 @@ def read_labels(path: Path) -> Labels:
                 fix=SAVE_FIX,
             )
         return Labels(volume, {int(label): name for label, name in stated})
-
-
-def _parse_segments(texts: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Return the label and the name of each segment in the texts of a header, in its order."""
-    numbers = takewhile(lambda n: f"Segment{n}_ID" in texts, count())
-    return [
-        (texts.get(f"Segment{n}_LabelValue", f"{n + 1}").strip(), texts.get(f"Segment{n}_Name", "").strip())
-        for n in numbers
-    ]

@@ -17,8 +17,8 @@ from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.constants import HU, PART
 from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_bytes
 
-# largest number of voxels that are read, 1024^3: 4 GB in memory, unless the user states another number
-DEFAULT_MAX_VOXELS = 2**30
+# largest memory (bytes) of a volume that is read, as float32, unless the user states another: 1024^3 voxels
+DEFAULT_VOLUME_BYTES = 2**32
 # spacings of real scans (mm), from the finest micro-CT to the thickest slices; outside, the unit of the file
 # is not mm
 SPACINGS_MM = (1e-3, 50.0)
@@ -31,7 +31,7 @@ MAX_TILT_DEG = 35.0
 class VoxelGrid:
     """The position of voxels in patient coordinates."""
 
-    size: tuple[int, int, int]  # voxels along i (columns), j (rows), k (slices)
+    size: tuple[int, ...]  # voxels along i (columns), j (rows), k (slices)
     origin: Floats  # (3,); centre of voxel (0, 0, 0), LPS, mm
     spacing: Floats  # (3,); distance of centres along i, j, k, mm
     # (3, 3); its columns are the LPS unit vectors of i, j, k, of either handedness. i and j are
@@ -49,21 +49,16 @@ class VoxelGrid:
         """The distance of the slices' planes, mm."""
         return float(self.spacing[2] * (self.normal @ self.direction[:, 2]))
 
-    @property
-    def placing(self) -> dict[str, Floats]:
-        """Origin, spacing and direction of a volume whose values have this size, by their names."""
-        return {"origin": self.origin, "spacing": self.spacing, "direction": self.direction}
-
 
 def check_grid(grid: VoxelGrid) -> None:
-    """Refuse an impossible grid, before any voxel of it is read.
+    """Raise DataError if a grid is impossible, before any voxel of it is read.
 
-    DataError if the size is absurd, the spacing is not that of a scan in mm, a number is not finite, or the
-    axes are not those of slices: rows and columns at right angles, slices one above the other or leaning as
-    those of a tilted gantry do.
+    It is if the size is absurd, the spacing is not that of a scan in mm, a number is not finite, or the axes
+    are not those of slices: rows and columns at right angles, slices one above the other or leaning as those
+    of a tilted gantry do.
     """
     check_size(grid.size)
-    if not all(map(are_bounded, (grid.origin, grid.spacing, grid.direction))):
+    if not are_bounded(np.vstack([grid.origin, grid.spacing, grid.direction])):
         raise DataError(
             "its origin, spacing or axes are not finite, or too large",
             expected="positions of voxels in mm",
@@ -89,9 +84,9 @@ def check_grid(grid: VoxelGrid) -> None:
 
 
 def fill_unknown(values: NDArray[Any]) -> list[str]:
-    """Give voxels without a value (NaN) that of air, or of no label; return a note of how many, and where.
+    """Replace NaN by the value of air, in label volumes by 0; return a note of how many, and where.
 
-    DataError if no voxel has a value, or one is infinite.
+    DataError if all values are NaN, or one is infinite.
     """
     if np.isfinite([values.min(), values.max()]).all():
         return []
@@ -113,24 +108,24 @@ def fill_unknown(values: NDArray[Any]) -> list[str]:
     ]
 
 
-def max_voxels() -> int:
-    """Return the largest number of voxels that is read, as float32."""
-    return (stated_memory_bytes() or 4 * DEFAULT_MAX_VOXELS) // 4
+def max_volume_bytes() -> int:
+    """Return the largest memory of a volume that is read, as float32."""
+    return stated_memory_bytes() or DEFAULT_VOLUME_BYTES
 
 
-def check_size(size: tuple[int, int, int]) -> None:
+def check_size(size: tuple[int, ...]) -> None:
     """Refuse an empty volume, or one with more voxels than are read. Raises DataError."""
-    shown, count = " x ".join(map(str, size)), math.prod(size)
+    shown, memory = " x ".join(map(str, size)), 4 * math.prod(size)
     if min(size) < 2:
         raise DataError(
             f"holds {shown} voxels, no volume",
             expected="at least two voxels along each axis",
             fix="export the whole volume, not one image of it",
         )
-    if count > max_voxels():
+    if memory > max_volume_bytes():
         raise DataError(
-            f"its header claims {shown} voxels, {4 * count / 1e9:.3g} GB in memory",
-            expected=f"at most {max_voxels():.3g} voxels",
+            f"its header claims {shown} voxels, {memory / 1e9:.3g} GB in memory",
+            expected=f"at most {max_volume_bytes() / 4:.3g} voxels",
             fix=(
                 "crop the volume to the needle and its markers, or check where the file "
                 f"comes from; if it is right and memory allows, set {MEMORY_VARIABLE} to the "
@@ -161,8 +156,7 @@ class Volume:
     @property
     def grid(self) -> VoxelGrid:
         """The grid of the voxels."""
-        slices, rows, columns = self.values.shape
-        return VoxelGrid((columns, rows, slices), self.origin, self.spacing, self.direction)
+        return VoxelGrid(self.values.shape[::-1], self.origin, self.spacing, self.direction)
 
     @cached_property
     def tissue(self) -> float:
@@ -181,14 +175,14 @@ class Volume:
         return list_bright_voxels(self.values, self.tissue + min(PART.THRESHOLDS) * HU.CLIPPED)
 
     def list_bright(self, level: float) -> BrightVoxels:
-        """Return the voxels above a level, HU; less bright ones, too, where the volume has listed them."""
+        """Return the voxels above a level, HU; others, too, where a list down to a lower level is at hand."""
         return self._bright if self._bright.level <= level else list_bright_voxels(self.values, level)
 
     @cached_property
     def resampled_top(self) -> float | None:
-        """At what values were cut before the scan was resampled, HU; None: they were not, or it was not.
+        """The value at which a scan was cut before it was resampled, HU; None if either was not done.
 
-        Interpolated values end nowhere in particular: without this the metal seems less bright, and longer.
+        Few interpolated values equal this limit. Without it metal would be fitted as less bright, and longer.
         """
         top = self.ends[1]
         if not PART.BRIGHTEST <= top / HU.CLIPPED <= 1 / PART.BRIGHTEST:
@@ -199,11 +193,13 @@ class Volume:
 
 
 def turn_slices(volume: Volume) -> Volume:
-    """Return a volume whose longest steps are along k, as scanners' are; itself if they are, or k leans."""
-    longest = int(np.argmax(volume.spacing))
-    ratio = float(volume.spacing[longest] / volume.spacing[2])
+    """Return the volume with its axes reordered so that the largest spacing, as of slices, is that of k.
+
+    The same volume if k has it already, or leans on i and j.
+    """
+    longest = volume.spacing.argmax()
     lean = np.abs(volume.direction[:, :2].T @ volume.direction[:, 2]).max()
-    if ratio < PART.FLATNESS or lean > UNIT_VECTOR_TOLERANCE:
+    if volume.spacing[longest] < PART.FLATNESS * volume.spacing[2] or lean > UNIT_VECTOR_TOLERANCE:
         return volume
     order = [*np.delete(range(3), longest), longest]
     values = np.ascontiguousarray(volume.values.T.transpose(order).T)
@@ -212,14 +208,12 @@ def turn_slices(volume: Volume) -> Volume:
 
 def to_patient(volume: Volume | VoxelGrid, ijk: ArrayLike) -> Floats:
     """Return the LPS points (N, 3), mm, of fractional voxel indices i, j, k (N, 3)."""
-    steps = np.asarray(ijk, dtype=np.float64) * volume.spacing
-    return steps @ volume.direction.T + volume.origin
+    return np.multiply(ijk, volume.spacing) @ volume.direction.T + volume.origin
 
 
 def to_index(volume: Volume | VoxelGrid, points: ArrayLike) -> Floats:
     """Return the fractional indices i, j, k (N, 3) of LPS points (N, 3), mm; whole at voxel centres."""
-    away = np.asarray(points, dtype=np.float64) - volume.origin
-    return away @ np.linalg.inv(volume.direction * volume.spacing).T
+    return np.subtract(points, volume.origin) @ np.linalg.inv(volume.direction * volume.spacing).T
 
 
 def sample(volume: Volume, points: Floats) -> Floats:
@@ -228,8 +222,8 @@ def sample(volume: Volume, points: Floats) -> Floats:
     Trilinear: it keeps centroids; cubic interpolation of a saturated needle, with its ringing, need not.
     """
     index = to_index(volume, points.reshape(-1, 3))[:, ::-1].T  # i, j, k; the array is indexed k, j, i
-    values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float64)
-    return np.asarray(values.reshape(points.shape[:-1]), float)
+    values: Floats = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float64)
+    return values.reshape(points.shape[:-1])
 
 
 def list_voxels_near(volume: Volume, points: ArrayLike, reach: float) -> tuple[Ints, Floats]:
@@ -242,7 +236,10 @@ def list_voxels_near(volume: Volume, points: ArrayLike, reach: float) -> tuple[I
 
 
 def find_cuts(values: Floats) -> tuple[float, float]:
-    """Return the least and the largest of values (N,), HU, where a scanner cuts them there; else infinite."""
+    """Return the limits between which a scanner has cut values (N,), HU; infinite where it has not.
+
+    It has if several voxels have exactly the least, or the largest value.
+    """
     low, high = float(values.min()), float(values.max())
     cut = [np.count_nonzero(values == end) > MAX_EQUAL for end in (low, high)]
     return low if cut[0] else -np.inf, high if cut[1] else np.inf
@@ -255,9 +252,9 @@ def measure_face_distance(volume: Volume, points: Floats) -> Floats:
 
 
 def require_inside(volume: Volume, points: Floats, kind: str) -> None:
-    """Refuse LPS points (N, 3), mm, of which one lies more than a voxel outside the volume.
+    """Raise DataError if one of LPS points (N, 3), mm, lies more than a voxel outside the volume.
 
-    Raises DataError, which names them by their `kind`.
+    The error names the points by their `kind`.
     """
     outside = points[measure_face_distance(volume, points) < -volume.spacing.max()]
     if len(outside):
@@ -270,7 +267,10 @@ def require_inside(volume: Volume, points: Floats, kind: str) -> None:
 
 
 def explain_refusal(error: NeedlefitError, volume: Volume) -> NeedlefitError:
-    """Return why a scan is refused with what its volume holds, and first any doubt about its unit."""
+    """Return the error of a scan with the size, the spacing and the values of its volume added.
+
+    A doubt about the unit of the values is put first: it may be the cause.
+    """
     size, steps = (
         " x ".join(f"{length:.3g}" for length in lengths)
         for lengths in (volume.grid.size * volume.spacing, volume.spacing)
@@ -281,10 +281,11 @@ def explain_refusal(error: NeedlefitError, volume: Volume) -> NeedlefitError:
 
 
 def doubt_air(volume: Volume) -> Iterator[str]:
-    """Yield a warning if air has another value than in HU, as grey values of cone beams have.
+    """Yield a warning if air has another value than in HU, as in the grey values of cone-beam scanners.
 
-    Air is what is darker than soft material, but for the lowest value of all: that fills what lies outside
-    the scanner's field, or is where values were cut. Where nothing else is so dark, it stands for air.
+    Air is taken to be all that is darker than soft material, except voxels of the lowest value: these lie
+    outside the scanner's field, or were cut. If there are no other dark voxels, the lowest value is that of
+    air.
     """
     some = volume.values[::3, ::3, ::3]
     dark = some[(some > some.min()) & (some < HU.GAP)]
@@ -299,9 +300,10 @@ def doubt_air(volume: Volume) -> Iterator[str]:
 
 
 def require_hounsfield(volume: Volume) -> None:
-    """Refuse values that cannot be HU: files without a modality hold MR, stored or attenuation values, too.
+    """Raise DataError if the values cannot be HU.
 
-    HU have a fixed zero: what lies around any needle has values below it, be it air, or the noise of water.
+    Files that state no modality may hold MR, stored values or attenuations. In HU some values around any
+    needle are below 0: those of air, or the noise of water.
     """
     low, high = volume.ends
     if low >= 0 or high - low < HU.METAL_CONTRAST:

@@ -11,7 +11,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES, Volume, max_voxels
+from needlefit.imaging.volume import (
+    ARCHIVE_SUFFIX,
+    IMAGE_SUFFIXES,
+    READABLE_VOLUMES,
+    Volume,
+    max_volume_bytes,
+)
 from needlefit.project.folders import MAX_LISTED_FILES
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular, path_exists
 from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process
@@ -36,28 +42,24 @@ def read_volume(path: Path, series: str | None = None) -> Volume:
     if not path_exists(path):
         problem = "there is no such file or folder"
         raise DataError(problem, expected=READABLE_VOLUMES, fix="check the path", where=path)
-    require_packages()
     with open_member(path, series) as place:
         if is_image_file(place):
             return read_image_file(place)[0]
-        arguments = {"path": str(place), "series": series}
-        reader = "needlefit.imaging.dicom:read_series"
-        notes, arrays = read_in_process(reader, place, arguments, seconds=READ_SECONDS)
-        return Volume(**arrays, warnings=tuple(notes))
+        return _read("dicom:read_series", place, series=series)[0]
 
 
 @contextmanager
 def open_member(path: Path, series: str | None = None) -> Iterator[Path]:
-    """Yield a path; of a .zip the one image file in it, or a folder with its DICOM files.
+    """Yield the path itself; of a .zip that of the image file in it, or of a folder with its DICOM files.
 
-    Errors then name the archive. DataError if it is damaged, encrypted or too large, or holds another, or
-    several scans.
+    Errors raised within the block name the archive. DataError if the archive is damaged, encrypted or too
+    large, or holds several scans.
     """
     if not path.name.lower().endswith(ARCHIVE_SUFFIX):
         yield path
         return
     with TemporaryDirectory(prefix="needlefit-scan-") as name:
-        arguments = {"path": str(path), "folder": name, "total_bytes": 4 * max_voxels()}
+        arguments = {"path": str(path), "folder": name, "total_bytes": max_volume_bytes()}
         try:
             read_in_process(f"{__name__}:unpack_scan", path, arguments, seconds=READ_SECONDS)
             yield _choose_member(Path(name), series)
@@ -67,10 +69,9 @@ def open_member(path: Path, series: str | None = None) -> Iterator[Path]:
 
 
 def unpack_scan(_arrays: Arrays, path: str, folder: str, total_bytes: int) -> None:
-    """Unpack the archive of a scan; in the child process.
+    """Unpack the archive of a scan into a folder; called in the child process.
 
-    `zipfile` writes no member outside the folder, no links, and of each no more bytes than the archive
-    states.
+    `zipfile` writes nothing outside the folder, no links, and no more bytes of a file than stated.
     """
     with open_regular(Path(path), sys.maxsize) as file, zipfile.ZipFile(file) as archive:
         members = archive.infolist()
@@ -88,7 +89,7 @@ def unpack_scan(_arrays: Arrays, path: str, folder: str, total_bytes: int) -> No
 
 
 def _choose_member(folder: Path, series: str | None) -> Path:
-    """Return what is meant in an unpacked archive: an image file, or the folder of a DICOM series."""
+    """Return the image file in the folder of an unpacked archive; the folder if it holds a DICOM series."""
     files = list_files(folder)
     images = [file for file in files if is_image_file(file)]
     if series is not None or not images:
@@ -105,9 +106,10 @@ def _choose_member(folder: Path, series: str | None) -> Path:
 
 
 def list_series_files(path: Path) -> list[Path]:
-    """Return the files that may be read for a path, sorted: in and below a folder, or beside a DICOM file.
+    """Return the files that are read for a path.
 
-    A header with detached voxels is followed by the file that it names.
+    Of a folder: all files in it and its subfolders, sorted. Of a DICOM file: all files of its folder, sorted.
+    Of a header with detached voxels: the header, and the file that it names. Else the file alone.
     """
     if is_dir(path):
         return list_files(path)
@@ -115,7 +117,7 @@ def list_series_files(path: Path) -> list[Path]:
         with open_regular(path, sys.maxsize) as content:
             stated = DATA_FILE.findall(content.read(MAX_HEADER_BYTES))
         return [path, *filter(is_file, (path.parent / os.fsdecode(name) for name in stated))]
-    if path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)) or not begins_as_dicom(path):
+    if not begins_as_dicom(path):
         return [path]
     return sorted(file for file in path.parent.iterdir() if is_file(file) and file.name[0] != ".")
 
@@ -136,15 +138,15 @@ def read_image_file(path: Path) -> tuple[Volume, dict[str, str]]:
 
     DataError and ConfigError as `read_volume`.
     """
-    require_packages()
     with open_regular(path, sys.maxsize):  # no device or pipe
-        reader = "needlefit.imaging.image_files:read_image"
-        header, arrays = read_in_process(reader, path, {"path": str(path)}, seconds=READ_SECONDS)
-        return Volume(**arrays, warnings=tuple(header["warnings"])), header["texts"]
+        return _read("image_files:read_image", path)
 
 
-def require_packages() -> None:
-    """Raise ConfigError if a package that reads scans, or finds layers in them, is not installed."""
+def _read(reader: str, path: Path, **arguments: str | None) -> tuple[Volume, dict[str, str]]:
+    """Return the volume and the texts that a reader finds at a path.
+
+    ConfigError if a package that reads scans, or finds layers in them, is not installed.
+    """
     for name in CT_PACKAGES:
         if find_spec(name) is None:
             raise ConfigError(
@@ -152,3 +154,9 @@ def require_packages() -> None:
                 expected="the packages of the extra `ct`",
                 fix="pip install 'needlefit[ct]'",
             )
+    arguments["path"] = str(path)
+    (warnings, texts), arrays = read_in_process(
+        f"needlefit.imaging.{reader}", path, arguments, seconds=READ_SECONDS
+    )
+    del arrays["size"]  # that of the values
+    return Volume(**arrays, warnings=tuple(warnings)), texts
