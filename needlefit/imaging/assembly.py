@@ -78,24 +78,22 @@ def assemble_dataset(
                 where=f"medium {name}",
             )
         surfaces |= files
+    row_fields = InsertionRow.__dataclass_fields__
     rows = [
         InsertionRow(
-            id=needle.scan.id,
-            medium=needle.scan.medium,
-            specimen=needle.scan.specimen,
-            layers=len(needle.layers.sequence) if needle.scan.layers is None else needle.scan.layers,
-            layers_alternative=needle.scan.layers_alternative,
+            **{name: value for name, value in vars(needle.scan).items() if name in row_fields}
+            | {
+                "layers": needle.scan.layers or len(needle.layers.sequence),
+                "guide_distance": needle.scan.guide_distance or None,
+            },
             depth=needle.depth,
-            side=needle.scan.side,
             entry=needle.pose.origin,
             direction=needle.pose.direction,
-            bevel=needle.scan.bevel,
             pose_source=needle.pose.source,
             pose_shift_sd=needle.pose.shift_sd,
             pose_angle_sd=needle.pose.angle_sd,
             boundary_sd=float(np.sqrt(np.mean(needle.layers.sd**2))) if len(needle.layers.sd) else 0.0,
             depth_sd=needle.depth_sd,
-            guide_distance=needle.scan.guide_distance or None,
             patient=needle.patient,
         )
         for needle in reconstructions
