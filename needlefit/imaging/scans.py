@@ -72,7 +72,7 @@ class LayerSource:
 
 @dataclass(frozen=True)
 class Corrections:
-    """Places that a person gave in place of those found, LPS, mm; None: as found."""
+    """Points that a person moved, LPS, mm; None: the program's own are kept."""
 
     axis: Floats | None = None  # (N, 3); points on the needle, in any order: it is followed along these
     # (3,); where the needle ends, and where it enters the tissue.
@@ -129,14 +129,12 @@ class Scan:
         return self.corrections.get(self.id, Corrections())
 
 
-STAGE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg")
 # columns of vectors by the field of a row (the point is placed by hand in the scan, LPS)
 VECTORS = {
-    "stage": STAGE_COLUMNS,
+    "stage": (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg"),
     "bevel": BEVEL_COLUMNS,
     "needle_at": ("needle_x_mm", "needle_y_mm", "needle_z_mm"),
 }
-FILES = ("mask", "markers", "fiducials")
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 SEGMENTATION_SUFFIXES = (*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)
 _LAYER = re.compile(r"^(.+?)\s*(?:=(sheet|solid):([1-9]\d{0,2}))?$", re.DOTALL)
@@ -171,7 +169,7 @@ def _parse_layers(text: str, info: ValidationInfo) -> tuple[LayerSource, ...]:
                 f"a mesh ({', '.join(MESH_SUFFIXES)}), with or without =sheet:2 or =solid:3, or "
                 f"segmentation ({', '.join(SEGMENTATION_SUFFIXES)}); {file} is none"
             )
-        layers.append(LayerSource(_locate(file, info), kind or None, int(into) if into else None))
+        layers.append(LayerSource(_locate(file, info), kind or None, int(into or 0) or None))
     if len(layers) > 1 and any(layer.is_segmentation for layer in layers):
         raise ValueError("one segmentation of all layers, or a mesh for each")
     return tuple(layers)
@@ -185,7 +183,7 @@ Stage = tuple[float, float, float, float, float, float, NonNegativeFloat, NonNeg
 
 
 class ScanRow(Record):
-    """The cells of a row that are not empty, as fields of its scan; those of a vector are one field."""
+    """The cells of a row that are not empty, checked; cells of one vector are one field, as in `Scan`."""
 
     volume: InputFile = Field(alias="scan")
     id: Id
@@ -222,8 +220,9 @@ class ScanRow(Record):
 def read_scans(path: Path) -> tuple[Scan, ...]:
     """Read a table of scans, one per row, in its order; paths in it are relative to its folder.
 
-    Only `scan` is required; what an empty cell means `Scan` says. An id that is not given is the volume's
-    name. Surfaces are separated by `;`, each a file or `file=kind:into`, e.g. `skin.stl=sheet:2`.
+    Only `scan` is required. An empty cell stands for the default of its field of `Scan`; without an id the
+    name of the volume is the id. Surfaces are separated by `;`, each a file or `file=kind:into`, e.g.
+    `skin.stl=sheet:2`.
 
     DataError: listing every fault of the table, with its line: cells, columns that are unknown, files
     missing.
@@ -253,17 +252,18 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
 def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[Scan, ...]:
     """Return a scan for each of some volumes that share markers and layers; file names become ids.
 
-    `shared`: of one scan alone are fiducials, mask and series.
+    `shared`: fiducials, mask and series are refused for several volumes, for they belong to one scan.
 
-    DataError: listing every file that is missing, every layer that is not understood, names that are alike or
-    name no file, and fiducials without markers.
+    DataError: listing every missing file, every layer that is not understood, ids that two scans would have,
+    and fiducials without markers.
     """
     faults: list[Fault] = []
     once = shared.fiducials or shared.mask or shared.series
     if len(volumes) > 1 and once:
         fix = "write a table of scans, with a column for it"
         note_fault(faults, once, f"is given for {len(volumes)} scans", "one scan", fix)
-    stated = {name: str(getattr(shared, name) or "") for name in ("medium", "series", *FILES)}
+    names = ("medium", "series", "mask", "markers", "fiducials")
+    stated = {name: str(getattr(shared, name) or "") for name in names}
     stated |= {"surfaces": ";".join(shared.layers), "surfaces_in": shared.layers_in}
     rows = [(str(volume), {**stated, "scan": str(volume)}) for volume in volumes]
     return _build_scans(rows, volumes[0], Path(), faults)
@@ -274,7 +274,8 @@ def _build_scans(
 ) -> tuple[Scan, ...]:
     """Return the scans of rows, each a place and its cells by their columns.
 
-    Files are named from `folder`. DataError about `path` listing the `faults` found, and all others.
+    Paths in the cells count from `folder`. DataError about `path`: listing the `faults` given, and those of
+    the rows.
     """
     scans, first = list[Scan](), dict[str, str]()
     for place, row in rows:
@@ -327,7 +328,10 @@ def _describe_fault(detail: ErrorDetails, place: str) -> Fault:
 
 
 def find_owner(id_: str, ids: Container[str], is_divided: bool) -> str:
-    """Return the id of the scan that an id means: one of `ids`, or, of a divided one, its needle, `ID-1`."""
+    """Return the id of the scan to which an id belongs: itself, or of `ID-1`, a needle of a scan, `ID`.
+
+    `ids`: those of all scans. `is_divided`: whether scans are divided into their needles.
+    """
     return id_.rpartition("-")[0] if is_divided and id_ not in ids else id_
 
 
