@@ -170,7 +170,7 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
     assert run(*words, "none", "--confirm", "entry=3") == 3
     # 6 mm of it as a guide that looks as the tissue does: what is passed is cut there
     Path("thin.toml").write_text("schema = 2\n[guide]\nthickness_mm = 6.0\n")
-    assert run(*words, "thin", "--recipe", "thin.toml", "--confirm", "entry=1") == 0
+    assert run(*words, "thin", "--recipe", "thin.toml", "--confirm", "entry=2") == 0
     passed = pd.read_csv("thin/passed.csv").iloc[-3:]
     assert [*passed["part"]] == ["guide", "tissue", "tissue"]
     assert [*passed["begin_mm"]] == approx([-6.0, 0.0, 8.0], abs=0.1)

@@ -5,7 +5,7 @@ See docs/reconstruction.md, "Where the tissue begins".
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import takewhile
+from itertools import chain, takewhile
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.constants import HU, MM, PART
 from needlefit.imaging.needle.centerline import project_point
 from needlefit.imaging.reconstruction import EntryChoice, EntryPlace, MaterialRun, NeedleImage
+from needlefit.project.unit_warnings import MIN_DEPTH_MM
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 
@@ -82,6 +83,7 @@ def choose_entry(
     needle, mm; 0: no guide. `guide_distance`: from the guide to the entry, mm.
     """
     distance, soft = guide_distance or 0.0, [run for run in runs if run.behind_air]
+    is_tissue = bool(soft) and is_soft_tissue(soft[0].level)
     faces, hidden = [EntryPlace(run.begin, run.sd) for run in soft], list[EntryPlace]()
     behind = _list_behind_guides(runs, None, distance)
     first = f"{soft[0].length:.1f} mm of {soft[0].level:.0f} HU" if soft else "metal"
@@ -95,15 +97,18 @@ def choose_entry(
     elif guide_thickness == 0:
         certain = faces[:1]
     else:
-        certain = faces if soft and is_soft_tissue(soft[0].level) else []
-    # what is no soft tissue is more likely a guide
-    likely = certain or hidden or (behind[:1] if guide_thickness is None else faces) or faces or behind
-    if len(certain) == 1 or not likely:
-        return EntryChoice(tuple(certain))
-    answers = likely[-1:]
-    for other in sorted([*certain, *hidden, *faces, *behind], key=lambda other: -other.at):
-        if other.at < tip and all(abs(other.at - answer.at) > MM.MATCH for answer in answers):
+        certain = faces if is_tissue else []
+    # the likeliest first: what is no soft tissue is more likely a guide, and no change shows what is hidden
+    groups = [
+        [place for place in places if tip - place.at >= MIN_DEPTH_MM]
+        for places in (certain, faces if is_tissue else behind[:1], faces, hidden, behind)
+    ]
+    answers = next(filter(None, groups), [])[-1:]
+    for other in sorted(chain(*groups), key=lambda other: -other.at):
+        if all(abs(other.at - answer.at) > MM.MATCH for answer in answers):
             answers.append(other)
+    if len(certain) == 1 or not answers:
+        return EntryChoice(tuple(certain))
     listed = "; ".join(
         f"{n}: {tip - answer.at:.1f} mm before the tip, {'behind a' if answer.guide else 'no'} guide"
         for n, answer in enumerate(answers, start=1)
