@@ -1,6 +1,7 @@
 """Where the needle first touched: known brightness along it, known beams, known stages."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import ct_cases as cases
@@ -19,7 +20,7 @@ from needlefit.geometry.surfaces import make_sheet
 from needlefit.imaging.batch import reconstruct_needles
 from needlefit.imaging.checks import compare_poses
 from needlefit.imaging.entry import choose_entry
-from needlefit.imaging.materials import list_materials
+from needlefit.imaging.materials import cut_runs, list_materials
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.needle.tip import TipFit
 from needlefit.imaging.pose import find_first_contact, pose_from_shaft
@@ -248,6 +249,16 @@ def test_metal_is_passed_by_the_middle_of_its_brightest_part_though_streaks_go_o
     around = np.minimum(12_000.0 * np.exp(-away) + np.where(S < 0, -200.0, 35.0) + tissue, top)
     choice = choose(IntensityProfile(S, around), thickness=6.0)
     assert_chosen(choice, 0.0, (-6.0 - gap, -gap), atol=0.3)
+
+
+def test_what_is_passed_begins_at_the_entry_that_a_person_confirmed():
+    runs = list_materials(profile((0.0, 35.0), (13.0, -5.0)), TIP)
+    entry = EntryPlace(6.0, 0.3)
+    *_, face, behind, layer = cut_runs(runs, entry)  # as behind a guide that looks as the tissue does
+    assert (face, layer) == (replace(runs[1], end=6.0), runs[2])
+    assert behind == replace(face, begin=6.0, end=layer.begin, sd=0.3, rise=0.0, behind_air=False)
+    air, face, _ = cut_runs(runs, replace(entry, at=1.0))
+    assert (air.end, face) == (1.0, replace(runs[1], begin=1.0, sd=0.3))
 
 
 # ---- by the tissue's own surface, unless the scan itself shows another place

@@ -5,7 +5,6 @@ Soft is what lies between air and metal: tissue, a gel, the plastic of a guide o
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +16,7 @@ from scipy.special import ndtr, ndtri
 from needlefit.arrays import Floats
 from needlefit.imaging.constants import HU, MM, PART, PROBABILITY, SCANNER
 from needlefit.imaging.needle.axis_spline import correlation_factor, disc_points, frames_along, sample_planes
-from needlefit.imaging.reconstruction import IntensityProfile, MaterialKind, MaterialRun
+from needlefit.imaging.reconstruction import EntryPlace, IntensityProfile, MaterialKind, MaterialRun
 from needlefit.imaging.volume import Volume
 
 RING = disc_points(MM.RING[1])  # (N, 2); its points, mm
@@ -86,15 +85,18 @@ def list_materials(profile: IntensityProfile, tip: float) -> tuple[MaterialRun, 
     return tuple(runs)
 
 
-def cut_runs(runs: Sequence[MaterialRun], place: float) -> tuple[MaterialRun, ...]:
-    """Return runs of which one begins at a `place`, mm: the nearest change moves there, or a run is cut."""
-    seen = min((run.begin for run in runs), key=lambda begin: abs(begin - place))
-    moved = {seen: place} if abs(seen - place) <= MM.MATCH else {}
+def cut_runs(runs: Sequence[MaterialRun], entry: EntryPlace) -> tuple[MaterialRun, ...]:
+    """Return runs of which one begins at an entry: the nearest change moves there, or a run is cut."""
+    nearest = min((run.begin for run in runs), key=lambda begin: abs(begin - entry.at))
+    moved = {nearest: entry.at} if abs(nearest - entry.at) <= MM.MATCH else {}
     parts = list[MaterialRun]()
     for run in runs:
-        begin, end = moved.get(run.begin, run.begin), moved.get(run.end, run.end)
-        ends = sorted({begin, float(np.clip(place, begin, end)), end})
-        parts += [replace(run, begin=first, end=last) for first, last in pairwise(ends)]
+        sd = entry.sd if run.begin in moved else run.sd
+        part = replace(run, begin=moved.get(run.begin, run.begin), end=moved.get(run.end, run.end), sd=sd)
+        if part.begin < entry.at < part.end:  # behind the cut the brightness is the same
+            parts.append(replace(part, end=entry.at))
+            part = replace(part, begin=entry.at, sd=entry.sd, rise=0.0, behind_air=False)
+        parts.append(part)
     return tuple(parts)
 
 

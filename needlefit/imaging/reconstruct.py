@@ -104,7 +104,7 @@ def derive_reconstruction(image: NeedleImage, recipe: ReconstructionRecord) -> R
     points, sd = interpolate_at_arc(world, stations), np.interp(stations, along, image.needle_axis.sd)
     toward = find_bending_direction(points, pose.direction) if scan.bevel is None else scan.bevel
     frame = make_entry_frame(pose.origin, pose.direction, toward)
-    passed = cut_runs(image.passed, entry.at) if entry.confirmed else image.passed
+    passed = cut_runs(image.passed, entry) if entry.confirmed else image.passed
     errors = estimate_layer_errors(scan, recipe, sd, pose, image.registration)
     layers = find_crossed_layers(points, frame, surfaces, errors)
     return Reconstruction(
