@@ -79,14 +79,16 @@ def pose(origin=(0.0, 0, 0), direction=(1.0, 0, 0), shift_sd=0.3, angle_sd=0.02)
 @pytest.mark.parametrize(
     ("origin", "direction", "match"),
     [
-        ((100.0, 0, 0), (1.0, 0, 0), "does not pass the entry"),
-        ((0.0, 0, 0), (-1.0, 0, 0), "does not pass the entry"),
-        ((0.0, 30, 0), (1.0, 0, 0), r"30\.0 mm from it"),
+        ((29.2, 0, 0), (1.0, 0, 0), r"-49\.2 .* -0\.2 mm"),  # the needle ends before it
+        ((0.0, 0, 0), (-1.0, 0, 0), r"20\.0 .* -29\.0 mm"),
+        ((0.0, 30, 0), (1.0, 0, 0), r"30\.0 mm beside"),
     ],
 )
 def test_a_stage_in_another_frame_is_noticed(origin, direction, match):
     needle = np.column_stack([np.arange(-20.0, 30.0), np.zeros(50), np.zeros(50)])
     assert "frame" in refusal(DataError, match, find_first_contact, needle, pose(origin, direction)).fix
+    there_and_back = np.vstack([needle, needle[:30:-1] + [0.0, 1.0, 0.0], needle + [0.0, 2.0, 0.0]])
+    assert find_first_contact(there_and_back, pose((15.0, 0, 0))) == approx(35.0)
 
 
 def test_stage_and_shaft_are_compared_across_the_axis_and_refused_where_they_differ():

@@ -90,16 +90,23 @@ def find_first_contact(points: Floats, pose: EntryPose) -> float:
 
     DataError if they do not cross it near the place stated.
     """
-    along, s = (points - pose.origin) @ pose.direction, arc_length(points)
-    at = float(np.interp(0.0, along, s))  # a needle goes on into the tissue
-    (apart,) = np.linalg.norm(interpolate_at_arc(points, np.array([at])) - pose.origin, axis=1)
-    if not along[0] < 0 <= along[-1] or apart > MAX_START_DISTANCE_MM:
+    along = (points - pose.origin) @ pose.direction
+    parts = {
+        "expected": f"an entry within {MAX_START_DISTANCE_MM:g} mm of the needle, between its base and its "
+        "tip, and a direction into the tissue",
+        "fix": "check entry_x_mm ... entry_dz, their frame (the world of the markers), and the sign of the "
+        "direction; and the known places of the markers",
+    }
+    if not along[0] < 0 <= along[-1]:
         raise DataError(
-            f"the needle does not pass the entry but {apart:.1f} mm from it: it lies {along.min():.1f} to "
-            f"{along.max():.1f} mm from it along the entry direction",
-            expected=f"an entry within {MAX_START_DISTANCE_MM:g} mm of the needle, between its base and its "
-            "tip, and a direction into the tissue",
-            fix="check entry_x_mm ... entry_dz, their frame (the world of the markers), and the sign of the "
-            "direction; and the known places of the markers",
+            f"the needle does not pass the entry: along the entry direction its base lies at {along[0]:.1f} "
+            f"mm, its tip at {along[-1]:.1f} mm",
+            **parts,
         )
+    beyond = int(np.argmax(along >= 0))  # a needle may turn back, and pass the plane again
+    step = slice(beyond - 1, beyond + 1)
+    at = float(np.interp(0.0, along[step], arc_length(points)[step]))
+    (apart,) = np.linalg.norm(interpolate_at_arc(points, np.array([at])) - pose.origin, axis=1)
+    if apart > MAX_START_DISTANCE_MM:
+        raise DataError(f"the needle passes the entry {apart:.1f} mm beside it", **parts)
     return at
