@@ -103,7 +103,14 @@ def test_a_needle_whose_ends_lie_in_tissue_is_placed_as_its_refusal_offers(tmp_p
 @pytest.mark.parametrize(
     ("edit", "word"),
     [
-        (lambda one, points: points["ball 1"].update(label="marker"), "marker"),
+        (lambda one, points: points["ball 1"].update(label="marker"), "`marker`"),
+        (
+            lambda one, points: [
+                points[name].update(label=label)
+                for name, label in {"tip": "12", "axis 1": "F-1", "ball 1": "ball 1 2"}.items()
+            ],
+            "`F-1`, `12`, `ball 1 2`",
+        ),
         (lambda one, points: one.update(name="F"), "`F`"),
         (lambda one, points: one.update(type="Curve"), "Curve"),
         (

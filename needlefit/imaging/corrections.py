@@ -22,6 +22,7 @@ from needlefit.imaging.scans import Corrections, Scan, find_owner
 LIST_NAME = "corrections"  # name of a list of control points, after the id of its scan
 AXIS_POINTS = 8  # number of control points on the needle, at even distances
 KINDS = ("axis", "tip", "entry", "ball")
+_LABEL = re.compile(rf"\s*({'|'.join(KINDS)})\s*\d*\s*", re.IGNORECASE)
 # with the number of balls: one that was removed is missed by the others
 _FOUND = re.compile(
     r"found at L, P, S = (-?\d+\.\d+), (-?\d+\.\d+), (-?\d+\.\d+) mm(?:, one of (\d+) balls)?"
@@ -85,13 +86,14 @@ def read_corrections(path: Path) -> dict[str, Corrections]:
 
 
 def _parse_corrections(markups: Markups) -> Corrections:
-    kinds = np.array([re.sub(r"[\s\d]+$", "", label).strip().lower() for label in markups.labels])
-    if unknown := {*kinds.tolist()} - {*KINDS}:
+    named = [_LABEL.fullmatch(label) for label in markups.labels]
+    if unknown := [label for label, match in zip(markups.labels, named, strict=True) if match is None]:
         raise DataError(
-            f"points are called {', '.join(sorted(unknown))}",
+            f"points are called {', '.join(f'`{label}`' for label in unknown)}",
             expected=f"{', '.join(KINDS)}, with or without a number",
             fix="rename the points in 3D Slicer, or remove them",
         )
+    kinds = np.array([match[1].lower() for match in named if match])
     stated = [_FOUND.search(text) for text in markups.descriptions]
     found = np.array([match.groups("nan") if match else 4 * ("nan",) for match in stated], dtype=np.float64)
     moved = ~(np.linalg.norm(markups.points - found[:, :3], axis=1) <= MM.GRID_SD)  # what was added, too
