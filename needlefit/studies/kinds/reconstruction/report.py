@@ -333,13 +333,13 @@ def write_reconstruction(
 ) -> tuple[Run | None, tuple[ReconstructionFailure, ...]]:
     """Write `folder`, completely or not at all; return its result, and what a dataset cannot contain.
 
-    Where none can be held nothing is written, and what was there stays.
+    Where it can contain none, nothing is written, and what was there stays. So it is where all together have
+    a fault: it is returned as the failure of each scan, as one error.
 
     The dataset; `quality/<id>.pdf`; `slicer/`, also of the scans that were `refused`; a first study of
     several insertions; `scenes/<id>.toml`; the files of every run. `sources` are those of the result.
 
-    ConfigError if `folder` holds
-    anything that needlefit did not write, or that was changed since.
+    ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as fresh:
         kept, failures = assemble_checked(fresh, ones, recipe, description)
