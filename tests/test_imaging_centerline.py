@@ -106,6 +106,7 @@ def test_an_end_that_is_no_needle_s_misfits():
     for changed in (replace(volume, values=values), cases.scan(truth, scene=balls)):
         assert 0.14 < found(changed).end.misfit < 0.3
     assert found(volume, cases.recipe(needle={"diameter_mm": 2.1})).end.misfit > 0.14
+    assert "42 %" in centerline.describe_misfit(0.42) and "%" not in centerline.describe_misfit(3.64)
 
 
 @pytest.mark.parametrize("bevel_deg", [20.0, 60.0, 90.0])

@@ -13,6 +13,7 @@ from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import Surface, find_nearest
 from needlefit.imaging.constants import HU, MM, PART, SD
 from needlefit.imaging.entry import is_soft_tissue
+from needlefit.imaging.needle.centerline import describe_misfit
 from needlefit.imaging.reconstruction import EntryPose, Layers, Reconstruction
 from needlefit.imaging.scans import Scan
 
@@ -52,9 +53,8 @@ def list_tip_warnings(result: Reconstruction) -> Iterator[str]:
         )
     if needle.end.misfit > (PART.SLICE_MISFIT if needle.normal_sd else PART.END_MISFIT):
         yield (
-            f"the image of the needle's end differs from that of the model by "
-            f"{100 * needle.end.misfit:.0f} % of its brightness: "
-            "another diameter or bevel than stated, or metal or air beside it; look at it"
+            f"{describe_misfit(needle.end.misfit)}: another diameter or bevel than stated, or metal or air "
+            "beside it; look at it"
         )
     if np.isfinite(needle.end.bevel_deg):
         yield (

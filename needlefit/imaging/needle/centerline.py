@@ -88,8 +88,7 @@ def trace_needle(
         end = fit_tip(volume, axis, recipe.needle, start, spread)
         if end.misfit > PART.REFUSED_MISFIT and volume.resampled_top is None:
             raise DataError(
-                "where the needle ends does not show: its image differs from a "
-                f"needle's by {100 * end.misfit:.0f} % of its brightness",
+                f"where the needle ends does not show: {describe_misfit(end.misfit)}",
                 expected=f"an end that is surrounded by tissue, at most {100 * PART.REFUSED_MISFIT:.0f} %",
                 fix=(
                     "look at it: export the series with a softer kernel, scan without a marker or "
@@ -102,6 +101,12 @@ def trace_needle(
     # of its place beside the last cross-sections
     axis = extend_axis(axis, end.at, end.point, MM.GRID_SD, MM.KNOT)
     return replace(_sample_centerline(volume, axis, end, recipe), step=step)
+
+
+def describe_misfit(misfit: float) -> str:
+    """Return how far the image of an end is from that of the model, of a misfit in parts of its brightness."""
+    size = f"{100 * misfit:.0f} % of" if misfit <= 1 else "more than"
+    return f"the image of the needle's end differs from the model's by {size} its brightness"
 
 
 def _place_tip(axis: AxisSpline, tip: Floats, along_sd: float) -> TipFit:
