@@ -76,7 +76,7 @@ def test_one_failure_loses_nothing_and_results_of_a_second_run_equal_those_of_an
     words = ("reconstruct", cut, tmp_path / "whole.nrrd", "--jobs", "1", "-q", "--out")
     assert run(*words, out) == 3
     printed = capsys.readouterr().err
-    assert "1 of 2 " in printed and "fix" in printed
+    assert "1 of 2 needles" in printed and "fix" in printed
     assert [one.id for one in read_dataset(out).insertions] == ["whole"]
     kept = out.with_name("out.partial")
     assert any(path.suffix == ".jsonl" for path in kept.iterdir())

@@ -104,7 +104,7 @@ def trace_needle(
 
 
 def describe_misfit(misfit: float) -> str:
-    """Return how far the image of an end is from that of the model, of a misfit in parts of its brightness."""
+    """Return a sentence about how far an end is from the model: a misfit in parts of its brightness."""
     size = f"{100 * misfit:.0f} % of" if misfit <= 1 else "more than"
     return f"the image of the needle's end differs from the model's by {size} its brightness"
 
