@@ -147,12 +147,11 @@ def _require_id(text: str) -> str:
 
 
 def _locate(file: str, info: ValidationInfo) -> Path:
-    folder, is_folder_allowed = Path(info.context or ""), info.field_name == "volume"
-    path = folder / file
-    if not (path_exists(path) if is_folder_allowed else is_file(path)):
-        kind = "file or folder" if is_folder_allowed else "file"
-        problem = "is a folder" if path_exists(path) else "does not exist"
-        raise ValueError(f"a {kind}, whose path counts from {folder.absolute()}; {path} {problem}")
+    folder = Path(info.context or "")
+    path, exists = folder / file, path_exists if info.field_name == "volume" else is_file
+    if not exists(path):
+        problem = "is a folder, no file" if path_exists(path) else "does not exist"
+        raise ValueError(f"a path that counts from {folder.absolute()}; {path} {problem}")
     if fault := name_fault(path.name):
         raise ValueError(f"{EXPECTED_NAME}; {fault}")
     return path
