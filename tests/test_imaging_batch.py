@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from needlefit.errors import DataError
 from needlefit.imaging import batch
 from needlefit.imaging.batch import ReconstructionFailure, reconstruct_all
+from needlefit.imaging.entry import UncertainEntryError
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import read_scans
 from needlefit.project.checkpoint import open_checkpoint
@@ -43,7 +43,7 @@ def test_a_batch_makes_scans_again_that_are_not_kept_and_its_results_are_the_sam
         made.append(scan.id)
         if scan.id != "b" or scan.answers:
             return (replace(whole, scan=scan),)
-        return (ReconstructionFailure(scan, DataError("cut", where=scan.volume, fix="copy it"), asked=True),)
+        return (ReconstructionFailure(scan, UncertainEntryError("cut", where=scan.volume, fix="copy it")),)
 
     monkeypatch.setattr(batch, "reconstruct_needles", reconstruct)
     scans = [replace(sample, id=name) for name in "abc"]
@@ -56,7 +56,7 @@ def test_a_batch_makes_scans_again_that_are_not_kept_and_its_results_are_the_sam
     assert len(run(stop=lambda: len(made) == 2)) == 2
     first, failure, last = run()
     assert made == ["a", "b", "b", "c"]
-    assert failure.asked and failure.error.fix == "copy it" and type(failure.error) is DataError
+    assert failure.error.fix == "copy it" and type(failure.error) is UncertainEntryError
     for result in (first, last):  # to the last bit
         assert json.dumps(encode(result)) == json.dumps(encode(replace(whole, scan=result.scan)))
     answered = run([replace(scan, answers={"b": 1} if scan.id == "b" else {}) for scan in scans])

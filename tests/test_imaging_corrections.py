@@ -174,7 +174,11 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
     assert guide[0]["position"] == approx(places["entry 2"], abs=0.1) and guide[1]["label"] == "guide ends"
     assert run(*words, "before", "--confirm", "plate:entry=2") == 0
     assert pd.read_csv("before/reconstruction.csv").iloc[0]["depth_mm"] == approx(28.0, abs=0.2)
-    assert run(*words, "none", "--confirm", "entry=3") == 3
+    capsys.readouterr()
+    assert run(*words, "none", "--confirm", "plate:entry=10") == 3
+    printed = capsys.readouterr().err
+    assert all(part in printed for part in ("--confirm: ", " 10:", " 1 to 2\n"))
+    assert "--confirm plate:entry=1\n" in printed  # in place of the other
     # 6 mm of it as a guide that looks as the tissue does: what is passed is cut there
     Path("thin.toml").write_text("schema = 2\n[guide]\nthickness_mm = 6.0\n")
     assert run(*words, "thin", "--recipe", "thin.toml", "--confirm", "entry=2") == 0
@@ -192,6 +196,7 @@ def test_an_answer_names_its_scan_or_its_needle(capsys):
     scan = Scan("gel", Path("gel.nrrd"), "gel")
     assert [name_answer(scan, count) for count in (1, 2)] == ["entry=1", "gel:entry=1"]
     assert name_answer(replace(scan, id="gel-2"), 2) == "gel-2:entry=1"
-    for answer in ("axis", "gel:entry=1"):
-        assert run("reconstruct", VOLUME, "--confirm", answer) == 2
-        assert "entry=1" in capsys.readouterr().err
+    for wrong in ("axis", "gel:entry=1", "entry=0", "entry=one", "sample:entry=3"):
+        assert run("reconstruct", VOLUME, "--confirm", "entry=2", "--confirm", wrong) == 2
+        printed = capsys.readouterr().err
+        assert wrong in printed and "--confirm entry=1" in printed

@@ -203,7 +203,7 @@ def reconstruct(
 
 
 def _take_answers(scans: "Sequence[Scan]", confirmed: Sequence[str], every: bool) -> "list[Scan]":
-    """Return scans with the answers about their entries; BadParameter of an answer to no scan, or to all.
+    """Return scans with the answers about their entries; BadParameter unless each scan has one at most.
 
     `every`: whether each needle of a scan, `ID-1`, ..., is asked about.
     """
@@ -211,19 +211,36 @@ def _take_answers(scans: "Sequence[Scan]", confirmed: Sequence[str], every: bool
 
     answers: dict[str, dict[str, int]] = {scan.id: {} for scan in scans}
     for text in confirmed:
-        answer = re.fullmatch(r"(?:(.+):)?entry=([1-9])", text)
+        answer = re.fullmatch(r"(?:(.*):)?entry=(.*)", text)
         id_ = "" if answer is None else answer[1] or (scans[0].id if len(scans) == 1 else "")
         owner = find_owner(id_, answers, every)
         if answer is None or owner not in answers:
-            usual = name_answer(scans[0], len(scans))
-            raise typer.BadParameter(f"give a scan and its answer: {usual}", param_hint="--confirm")
-        answers[owner][id_] = int(answer[2])
+            problem = "names no answer of a scan"
+        elif not re.fullmatch(r"[1-9]\d{0,3}", answer[2]):
+            problem = f"`{answer[2]}` is not the number of an answer (1, 2, ...)"
+        elif id_ in answers[owner]:
+            problem = f"is a second answer for {id_}"
+        else:
+            answers[owner][id_] = int(answer[2])
+            continue
+        usual = name_answer(scans[0], len(scans))
+        raise typer.BadParameter(
+            f"{text}: {problem}; give one number for each scan: --confirm {usual}", param_hint="--confirm"
+        )
     return [replace(scan, answers=answers[scan.id]) for scan in scans]
 
 
 def name_answer(scan: "Scan", count: int) -> str:
     """Return what states answer 1 of a scan, or of a needle of one, of so many."""
     return "entry=1" if count == 1 else f"{scan.id}:entry=1"
+
+
+def _repeat_with_answer(invocation: "Invocation", scan: "Scan", count: int) -> str:
+    """Return the command line with answer 1 of a scan, one of so many, in place of any other answer of it."""
+    wrong = rf"((?:--confirm=)?(?:{re.escape(scan.id)}:)?entry=)\d+"
+    words = tuple(re.sub(f"^{wrong}$", r"\g<1>1", word) for word in invocation.words)
+    more = () if scan.id in scan.answers else ("--confirm", name_answer(scan, count))
+    return replace(invocation, words=words).repeat(*more)
 
 
 def _scans(scans: list[Path], files: ScanFiles) -> "tuple[Scan, ...]":
@@ -275,6 +292,7 @@ def _print_failures(
     invocation: "Invocation", run: "Run | None", failed: "Sequence[ReconstructionFailure]", out: Path
 ) -> None:
     """Print the error of each scan, and what to do about it."""
+    from needlefit.imaging.entry import UncertainEntryError
     from needlefit.imaging.scans import scan_id
 
     count = len(failed) + (len(run.frames["reconstruction"]) if run else 0)
@@ -290,10 +308,8 @@ def _print_failures(
     if any(failure.points for failure in failed):
         seen = f"needlefit: what was found is drawn in {out}/quality/"
         screen.print_note(f"{seen}; move it in 3D Slicer: {out}/slicer/, then --corrections")
-    if asked := [
-        failure.scan for failure in failed if failure.asked and failure.scan.id not in failure.scan.answers
-    ]:
-        command = invocation.repeat("--confirm", name_answer(asked[0], count))
+    if asked := [failure.scan for failure in failed if isinstance(failure.error, UncertainEntryError)]:
+        command = _repeat_with_answer(invocation, asked[0], count)
         screen.print_note(f"needlefit: with the number of the right answer: {command}")
     if failed and not run:
         screen.print_note(f"needlefit: no needle was reconstructed; the reasons: {out}/refused.csv")

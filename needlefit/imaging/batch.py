@@ -42,7 +42,6 @@ class ReconstructionFailure:
     entries: Markups | None = None  # the tip, the entries to choose from and faces of guides, likewise
     warnings: tuple[str, ...] = ()  # what a person should know of the scan's files
     picture: CurvePicture | None = None  # of what was taken for the needle
-    asked: bool = False  # whether a person may choose an answer about the entry
 
 
 def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
@@ -176,5 +175,4 @@ def _describe_failure(volume: Volume, found: Examination, error: NeedlefitError)
         points=make_control_points(scan.id, needle, next(iter(entries), None), found.markers),
         entries=Markups(Path(scan.id), f"{scan.id} entries", "Fiducial", tuple(along), points),
         picture=picture_curve(volume, needle, entries),
-        asked=error is found.choice.doubt,
     )

@@ -21,6 +21,10 @@ from needlefit.project.unit_warnings import MIN_DEPTH_MM
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 
+class UncertainEntryError(DataError):
+    """The scan leaves several places where the tissue may begin, of which a person may choose one."""
+
+
 def locate_entry(
     image: NeedleImage, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
 ) -> EntryPlace:
@@ -63,7 +67,11 @@ def locate_entry(
     if number is None:
         raise choice.doubt
     if number > len(choice.entries):
-        raise choice.doubt.replace(what=f"there is no answer {number}: {choice.doubt.what}")
+        raise choice.doubt.replace(
+            what=f"there is no answer {number}: {choice.doubt.what}",
+            expected=f"the number of an answer, 1 to {len(choice.entries)}",
+            where="--confirm",
+        )
     return replace(choice.entries[number - 1], confirmed=f"answer {number}; {choice.doubt.what}")
 
 
@@ -114,7 +122,7 @@ def choose_entry(
         for n, answer in enumerate(answers, start=1)
     )
     low, high = HU.SOFT_TISSUE
-    error = DataError(
+    error = UncertainEntryError(
         f"{doubt}: where does the tissue begin? {listed}",
         expected=f"one change from air to soft tissue ({low:g} to {high:g} HU), or one solid of "
         "guide.thickness_mm before the tissue, followed by air or another material",
