@@ -29,17 +29,15 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.imaging.checks import check_layers, refuse_tunnels
-from needlefit.imaging.layers import LayerErrors, estimate_layer_errors, find_crossed_layers, read_layers
+from needlefit.imaging.layers import estimate_along_sd, find_crossed_layers, layers_in_scan, read_layers
 from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.registration import register
 from needlefit.imaging.scans import LayerSource, StagePose
-from needlefit.schemas.reconstruction import ReconstructionRecord
 
 pytestmark = pytest.mark.usefixtures("read_here")
 
 NORMAL = np.array([0.48, 0.6, 0.64])
 NO_ERROR = np.zeros(len(NEEDLE))
-EXACT = LayerErrors(0.0, NO_ERROR)
 GRID = labelled(lambda points: 0 * points[:, 0], shape=(200, 200, 200)).grid
 
 
@@ -174,13 +172,12 @@ def tilted(degrees):
 
 def deviation(degrees, surface=0.0, across=0.0, **more):
     """The deviation of the depth of a sheet, 10 mm deep, tilted by so many degrees."""
-    errors = LayerErrors(surface, NO_ERROR + across, **more)
-    return find_crossed_layers(NEEDLE, HOME, (tilted(degrees),), errors).sd[0]
+    return find_crossed_layers(NEEDLE, HOME, (tilted(degrees),), surface, NO_ERROR + across, **more).sd[0]
 
 
 def test_depths_count_along_c_and_deviations_grow_as_the_needle_grazes():
     frame = Frame(np.array([-2.0, 0, 0]), np.eye(3))
-    layers = find_crossed_layers(NEEDLE, frame, (tilted(0), tilted(40)), EXACT)
+    layers = find_crossed_layers(NEEDLE, frame, (tilted(0), tilted(40)), 0.0, NO_ERROR)
     assert layers.boundaries == approx([12.0]) and layers.sequence == (1, 2)
     assert_allclose(layers.points, [[10, 0, 0]], atol=1e-9)
     # A surface's own counts by 1 / cos, one across the needle by the tangent of the angle.
@@ -188,7 +185,7 @@ def test_depths_count_along_c_and_deviations_grow_as_the_needle_grazes():
         angle = math.radians(degrees)
         assert deviation(degrees, surface=0.1) == approx(0.1 / math.cos(angle), rel=1e-6)
         assert deviation(degrees, across=0.2) == approx(0.2 * math.tan(angle), abs=1e-9)
-    assert deviation(0, surface=0.4, along=0.3) == approx(0.5)
+    assert deviation(0, surface=0.4, along_sd=0.3) == approx(0.5)
 
 
 @pytest.fixture(scope="module")
@@ -206,7 +203,6 @@ def test_errors_of_the_registration_count_across_the_needle_and_surfaces_move_wi
     tilt = math.radians(60)
     expected = math.hypot(0.4, 0.3 * math.sin(tilt)) / math.cos(tilt)
     assert deviation(60, surface=0.4, registration=shifted) == approx(expected)
-    recipe, sd = ReconstructionRecord(schema=1), np.zeros(3)
     mesh = save_mesh(tmp_path / "core.stl", CORE)
     pose = EntryPose(np.zeros(3), np.array([1.0, 0, 0]), "shaft", 0.1, 0.01, 0.2)
     for one, with_registration, along in (
@@ -215,14 +211,13 @@ def test_errors_of_the_registration_count_across_the_needle_and_surfaces_move_wi
         (scan(slabs_file), False, 0.2),
         (scan(mesh, stage=StagePose(pose.origin, pose.direction, 0.05, 0.001)), True, 0.05),
     ):
-        errors = estimate_layer_errors(one, recipe, sd, pose, shifted)
-        assert (errors.registration is not None) == with_registration
-        assert errors.surface == 0.1
-        assert errors.along == approx(along)
+        assert layers_in_scan(one) != with_registration
+        between = shifted if with_registration else None
+        assert estimate_along_sd(one, pose, between) == approx(along)
 
 
 def cross(*surfaces):
-    return find_crossed_layers(NEEDLE, HOME, surfaces, EXACT)
+    return find_crossed_layers(NEEDLE, HOME, surfaces, 0.0, NO_ERROR)
 
 
 def sheet_at(*place, size=60, into=2):

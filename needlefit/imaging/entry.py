@@ -150,7 +150,7 @@ def _list_behind_guides(
         ends = _list_ends(runs[n:])
         if not ends:
             continue
-        stated = ends[0].begin - first.begin if thickness is None else thickness
+        stated = thickness or ends[0].begin - first.begin
         end = min(ends, key=lambda run: abs(run.begin - first.begin - stated))
         excess = end.begin - first.begin - stated
         begin = first.begin + metal * excess / 2

@@ -10,7 +10,7 @@ cubes may interpolate: beside a plane it is the normal distribution function of 
 where it was; a right-angled edge loses about 0.5 mm.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +40,6 @@ from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.segmentations import Labels, read_labels
 from needlefit.imaging.volume import VoxelGrid, to_index, to_patient
-from needlefit.schemas.reconstruction import ReconstructionRecord
 
 
 def extract_label_surfaces(path: Path) -> tuple[Surface, ...]:
@@ -173,45 +172,38 @@ def layers_in_scan(scan: Scan) -> bool:
     return scan.surfaces_in == "scan" or any(source.is_segmentation for source in scan.surfaces)
 
 
-@dataclass(frozen=True)
-class LayerErrors:
-    """The errors that make the depth of a layer uncertain."""
-
-    surface: float  # standard deviation of a surface along its normal, mm
-    centerline: Floats  # (N,); of the needle's points in any one direction across it, mm
-    along: float = 0.0  # of the place from which depths count, against the surfaces, along the needle, mm
-    # What lays the needle among the surfaces; None where these lie in the same scan.
-    registration: Registration | None = None
-
-
-def estimate_layer_errors(
-    scan: Scan,
-    recipe: ReconstructionRecord,
-    centerline: Floats,
-    pose: EntryPose,
-    registration: Registration | None,
-) -> LayerErrors:
-    """Return the errors of the layers' depths in a scan; `centerline`: deviations (N,), mm.
+def estimate_along_sd(scan: Scan, pose: EntryPose, registration: Registration | None) -> float:
+    """Return the deviation of the place from which depths count, against surfaces, along the needle, mm.
 
     The stage's entry stands in the world as the surfaces do. One found in the scan errs against surfaces of
     the world by the registration, too, unless it is where the tissue's own surface is.
+
+    `registration`: what lays the needle among the surfaces; None where these lie in the same scan.
     """
-    between = None if layers_in_scan(scan) else registration
-    along = pose.along_sd if scan.stage is None else scan.stage.shift_sd
-    if scan.stage is None and between is not None and not any(s.into == 1 for s in scan.surfaces):
-        here = between.frame.to_local(pose.origin[None])
-        covariance = target_covariance(between, here)[0]
-        along = float(np.sqrt(along**2 + pose.direction @ covariance @ pose.direction))
-    return LayerErrors(recipe.layers.surface_sd_mm, centerline, along, between)
+    if scan.stage is not None:
+        return scan.stage.shift_sd
+    if registration is None or any(source.into == 1 for source in scan.surfaces):
+        return pose.along_sd
+    (covariance,) = target_covariance(registration, registration.frame.to_local(pose.origin[None]))
+    return float(np.sqrt(pose.along_sd**2 + pose.direction @ covariance @ pose.direction))
 
 
 def find_crossed_layers(
-    points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: LayerErrors
+    points: Floats,
+    frame: Frame,
+    surfaces: tuple[Surface, ...],
+    surface_sd: float,
+    centerline_sd: Floats,
+    along_sd: float = 0.0,
+    registration: Registration | None = None,
 ) -> Layers:
     """Return the layers that a needle crosses, with the deviations of their depths.
 
     `points`: (N, 3); from first contact to tip, world, mm.
     `frame`: the constraint frame C.
+    `surface_sd`: of a surface along its normal, mm.
+    `centerline_sd`: (N,); of the needle's points in any one direction across it, mm.
+    `along_sd`, `registration`: as of `estimate_along_sd`.
 
     An error e of needle against surface moves the crossing along the needle by n . e / n . t, with n the
     normal and t the needle's direction; a crossing under a small angle is hardly known. The needle's own
@@ -226,15 +218,15 @@ def find_crossed_layers(
     tangents = to_unit(after - before)
     _, normals = find_nearest(places, surfaces)
     cosines = np.sum(normals * tangents, axis=1)
-    across = np.interp(crossed.arc, arc_length(points), errors.centerline)
+    across = np.interp(crossed.arc, arc_length(points), centerline_sd)
     # sin^2 of the angle between needle and normal
-    variances = errors.surface**2 + across**2 * (1 - cosines**2)
-    if errors.registration is not None:
-        in_patient = errors.registration.frame.to_local(places)
-        covariances = target_covariance(errors.registration, in_patient)
+    variances = surface_sd**2 + across**2 * (1 - cosines**2)
+    if registration is not None:
+        in_patient = registration.frame.to_local(places)
+        covariances = target_covariance(registration, in_patient)
         sideways = normals - cosines[:, None] * tangents
         variances += np.einsum("ni,nij,nj->n", sideways, covariances, sideways)
     # a needle that lies in a surface crosses it anywhere
     along = np.abs(tangents @ frame.rotation[:, 0]) / np.maximum(np.abs(cosines), PARALLEL_SINE)
-    sd: Floats = np.hypot(along * np.sqrt(variances), errors.along)
+    sd: Floats = np.hypot(along * np.sqrt(variances), along_sd)
     return Layers(surfaces, compute_depths(crossed.points, frame), sd, crossed.points, crossed.sequence)

@@ -16,7 +16,7 @@ from needlefit.geometry.frames import make_entry_frame, normalize
 from needlefit.imaging.checks import collect_warnings, refuse_tunnels
 from needlefit.imaging.constants import MM
 from needlefit.imaging.entry import choose_entry
-from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
+from needlefit.imaging.layers import estimate_along_sd, find_crossed_layers, layers_in_scan, read_layers
 from needlefit.imaging.markers import find_markers, is_list_of_points, read_markers, refine_fiducials
 from needlefit.imaging.materials import cut_runs, list_materials, sample_profile
 from needlefit.imaging.needle.centerline import refuse_fold, trace_needle
@@ -105,8 +105,10 @@ def derive_reconstruction(image: NeedleImage, recipe: ReconstructionRecord) -> R
     toward = find_bending_direction(points, pose.direction) if scan.bevel is None else scan.bevel
     frame = make_entry_frame(pose.origin, pose.direction, toward)
     passed = cut_runs(image.passed, entry) if entry.confirmed else image.passed
-    errors = estimate_layer_errors(scan, recipe, sd, pose, image.registration)
-    layers = find_crossed_layers(points, frame, surfaces, errors)
+    between = None if layers_in_scan(scan) else image.registration
+    along_sd = estimate_along_sd(scan, pose, between)
+    surface_sd = recipe.layers.surface_sd_mm
+    layers = find_crossed_layers(points, frame, surfaces, surface_sd, sd, along_sd, between)
     return Reconstruction(
         **{**vars(image), "passed": passed},
         entry=entry,
