@@ -145,26 +145,28 @@ def _list_behind_guides(
     entries = list[EntryPlace]()
     for n, first in enumerate(runs):
         metal = first.kind == "metal"
-        if first.rise < HU.METAL_CONTRAST and (n or not metal):  # the image may begin in it
-            continue
         ends = _list_ends(runs[n:])
-        if not ends:
+        begins = first.rise >= HU.METAL_CONTRAST or (metal and n == 0)  # the image may begin in it
+        if not (begins and ends):
             continue
         stated = thickness or ends[0].begin - first.begin
         end = min(ends, key=lambda run: abs(run.begin - first.begin - stated))
-        excess = end.begin - first.begin - stated
-        begin = first.begin + metal * excess / 2
-        guide = begin, begin + stated
         deeper = [run for run in runs if run.begin > end.begin]
         changes = [run for run in deeper if run.behind_air or run.rise <= -HU.METAL_CONTRAST]
-        face = [run for run in changes[:1] if run.behind_air]  # not behind a cavity of the tissue
+        face = next((run for run in changes[:1] if run.behind_air), None)  # not behind a cavity of the tissue
         # streaks widen steel, and hide its length where air follows; by more than its length a gap does
-        cut = first.level > PART.BRIGHTEST * HU.CLIPPED
-        longest = stated if metal and face else min(2 * MM.BLUR_REACH, stated) if cut else 0.0
-        if not -MM.MATCH <= excess <= max(MM.MATCH, longest):
+        longest = MM.MATCH
+        if metal and face:
+            longest = max(longest, stated)
+        elif first.level > PART.BRIGHTEST * HU.CLIPPED:
+            longest = max(longest, min(2 * MM.BLUR_REACH, stated))
+        excess = end.begin - first.begin - stated
+        if not -MM.MATCH <= excess <= longest:
             continue
+        begin = first.begin + metal * excess / 2
+        guide = begin, begin + stated
         if face:
-            entries.append(EntryPlace(face[0].begin, face[0].sd, guide))
+            entries.append(EntryPlace(face.begin, face.sd, guide))
         elif end.kind == "soft" and (n or thickness is None):
             # the end errs by half of the excess, and by a film of air that hardly shows
             film = end.length / np.sqrt(12) if end.length < MM.MATCH else 0.0
