@@ -71,9 +71,9 @@ class MM:
     REACH = 80.0  # along the needle to the tissue's surface, or to a hub
     # Of what a scanner shows of an end, which the model does not: of a tip, across it, and of edges
     MODEL_SD = 0.05  # [R] [G]
-    # Of a face of metal, and of the end of a guide that is not stated, which a film of air may move: it may
-    # lie anywhere between two stations
-    HIDDEN_FACE_SD = STATION / 12**0.5
+    # Of a face of metal, and of the end of a guide that is not stated, which a film of air moves by 0.5 mm at
+    # most
+    HIDDEN_FACE_SD = 0.5 / 12**0.5
     # To either side of an edge: within it a place, or a thickness, is the one that is stated, or seen
     # otherwise, and the blur of air or metal shows
     MATCH = EDGE_BLUR / 2
@@ -85,7 +85,9 @@ class MM:
     # that leaves the volume is beyond its face
     NEEDLE_LENGTH = 20.0
     HUB_RADIUS = 5.0  # largest
-    HUB_LENGTH = 4.0  # least; so much of it, or of the shaft outside the tissue, shows its axis
+    HUB_LENGTH = 4.0  # least; so much of it shows its axis
+    SHAFT_LENGTH = 5.0  # least, outside the tissue, that shows an axis
+    LABEL_SMOOTHING = 0.5  # deviation, of the boundary of a segmentation
     RIM = PATCH - STATION  # from the needle, where its surroundings begin: the last voxel of the patch
     DARK = 6.0  # of a needle that rays darken, at most; longer rays show themselves rather than the bevel [R]
     END_MOMENT = 5.0  # lever of the shear force at the end: the tip itself carries no moment
@@ -103,12 +105,12 @@ class PART:
     WIDENING = 2.5  # width of a needle's image over its own [R]
     SECOND_NEEDLE = 0.6  # of the longest one's length
     DIVIDED_NEEDLE = 0.4  # the same, where all needles are wanted
-    CLEAR = 1.5  # of two widths, or soft lengths, that are not of one thing, a ball's among them
+    CLEAR = 1.5  # of two widths, or soft lengths, that are not of one thing
+    BALL_DIAMETER = 1.5  # of a ball over that of as many voxels, at most
     # Of the way from tissue to metal; the last where a plate hangs together with the needle
     THRESHOLDS = (0.4, 0.25, 0.15, 0.08, 0.7)
     BRIGHTEST = 0.97  # of the brightest of something, beyond which all is as bright
     FAINT = 0.3  # of a needle's brightness: fainter sections show none
-    FIRST_NOISE = 0.05  # of a ball's brightness, before the noise is known
     SHOWN = 0.5  # of a cross-section in the volume, and of the way between points on which a needle shows
     REFUSED_MISFIT = 0.32  # of an end's image: needles alone have 0.31 at most, with a ball at the end 0.33
     END_MISFIT = 0.14  # of an end's image, that is spoken of
@@ -125,8 +127,8 @@ class PART:
     BALL_MISFIT_SD = 0.35  # of its blur, per misfit [R]
     # Of the distance of slices, for a needle in them; of its square over the radius, for a ball [R] [S]
     SLICE_SD = 0.02
-    # Of a scan's voxels as dark as air, or of a layer's volume in islands and cavities: neither counts
-    FEW = 0.02
+    AIR = 0.02  # of a scan's voxels as dark as that: fewer do not count
+    ISLANDS = 0.02  # of a layer's volume in these, and in cavities: less does not count
     TOLERANCE = 1e-3  # of a fit's cost and parameters, at which it ends: an end moves by less than 0.01 mm
 
 

@@ -4,8 +4,8 @@ Of a segmentation, layer k is drawn as the solid of all labels of layer k and be
 another, so that no gap opens between neighbours, and, listed in order, the last one that holds a point is the
 point's layer.
 
-The voxels are averaged in cells of two stations, smoothed by a normal distribution whose deviation is one
-station, or one voxel where these are larger, and the average is turned into a distance along which marching
+The voxels are averaged in cells of 1 mm, smoothed by a normal distribution whose deviation is half of that,
+or one voxel where these are larger, and the average is turned into a distance along which marching
 cubes may interpolate: beside a plane it is the normal distribution function of the distance. A plane stays
 where it was; a right-angled edge loses about 0.5 mm.
 """
@@ -65,21 +65,21 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
     from skimage.measure import block_reduce, marching_cubes  # slow to load
 
     spacing = labels.volume.spacing[::-1]
-    block = np.maximum(np.rint(2 * MM.STATION / spacing), 1).astype(np.int64)
+    block = np.maximum(np.rint(2 * MM.LABEL_SMOOTHING / spacing), 1).astype(np.int64)
     # one cell around the labels: what leaves the volume is closed there
     cells = block_reduce(np.pad(mask, block[:, None]), tuple(block.tolist()), np.mean)
-    width = np.maximum(MM.STATION, spacing) / (block * spacing)
+    width = np.maximum(MM.LABEL_SMOOTHING, spacing) / (block * spacing)
     average = gaussian_filter(cells.astype(np.float32), width, mode="constant")
     # inverse of the smoothing of a plane; 0 and 1 would become infinite
     least = np.finfo(average.dtype).eps
     distance = ndtri(np.clip(average, least, 1 - least))
     # a boundary nearer to a corner would make triangles smaller than a file's digits, which fall together
-    nearest = MM.GRID_SD / MM.STATION
+    nearest = MM.GRID_SD / MM.LABEL_SMOOTHING
     distance[np.abs(distance) < nearest] = nearest
     if distance.max() < 0:
         raise DataError(
             f"layer {layer}, with any beyond it, is too thin: a smoothing of "
-            f"{max(MM.STATION, spacing.max()):.3g} mm (SD) leaves nothing of it",
+            f"{max(MM.LABEL_SMOOTHING, spacing.max()):.3g} mm (SD) leaves nothing of it",
             expected="layers that the smoothing leaves",
             fix="join it to its neighbour in 3D Slicer, or remove it",
         )
@@ -89,7 +89,7 @@ def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int
     points = to_patient(labels.volume, kji[:, ::-1])
     name = make_id(f"layer {layer} {[*labels.names.values()][layer - 1]}".strip(), "")
     surface, loose = extract_solid(name, points, faces.astype(np.int64), layer)
-    if loose > PART.FEW:
+    if loose > PART.ISLANDS:
         raise DataError(
             f"{name} and the layers beyond it fall apart: islands or cavities of {100 * loose:.0f} "
             "% of the largest piece",

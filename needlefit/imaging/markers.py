@@ -42,7 +42,7 @@ def find_blobs(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | Non
     bright = volume.list_bright(float(levels[0]))
     # the diameter of a ball of one voxel's volume
     unit = (6 / np.pi * float(np.prod(volume.spacing))) ** (1 / 3)
-    widths = np.array([diameter / PART.CLEAR, diameter + MM.BLUR_REACH])
+    widths = np.array([diameter / PART.BALL_DIAMETER, diameter + MM.BLUR_REACH])
     least, largest = np.maximum((widths / unit) ** 3, 4.0).tolist()
     blobs = list[Blob]()
     for level in levels.tolist():

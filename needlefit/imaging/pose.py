@@ -71,10 +71,10 @@ def pose_from_shaft(image: NeedleImage, entry: EntryPlace, recipe: Reconstructio
     free = image.scan.guide_distance or recipe.needle.length_mm - s[-1]  # from where the shaft is clamped
     use = s < -MM.BLUR_CORE
     length = float(np.ptp(s[use])) if use.any() else 0.0
-    if length < MM.HUB_LENGTH:
+    if length < MM.SHAFT_LENGTH:
         raise DataError(
             f"{length:.1f} mm of the shaft show outside the tissue, too few to draw its axis",
-            expected=f"at least {MM.HUB_LENGTH:g} mm, or the pose of the stage",
+            expected=f"at least {MM.SHAFT_LENGTH:g} mm, or the pose of the stage",
             fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle",
         )
     s, points, sd = s[use], image.whole_needle[use], image.needle_axis.sd[use]

@@ -191,24 +191,26 @@ def _fit_model(near: SphereVoxels) -> tuple[Floats, Floats, Floats]:
     theta[KNOWN] = means
     theta[[HEIGHT, LEVEL, STEP]] = np.log(max(1.5 * peak, 100.0)), low, max(high - low, 50.0)
 
-    def find_residuals(theta: Floats, noise: float) -> Floats:
-        left = (render_sphere(near, theta) - near.values) / noise
-        return np.append(left, (theta[KNOWN] - means) / sds)
+    def fit(start: Floats, noise: float) -> OptimizeResult:
+        def find_residuals(theta: Floats) -> Floats:
+            left = (render_sphere(near, theta) - near.values) / noise
+            return np.append(left, (theta[KNOWN] - means) / sds)
 
-    noise, count = PART.FIRST_NOISE * max(min(1.5 * peak, near.ceiling) - low, 1.0), len(near.values)
-    alike = max(1.0, MM.BLUR_CORE**3 / float(np.prod(near.spacing)))
-    for _ in range(2):
-        best: OptimizeResult = least_squares(
+        return least_squares(
             find_residuals,
-            np.clip(theta, LOWER_BOUNDS + 1e-6, UPPER_BOUNDS - 1e-6),
+            np.clip(start, LOWER_BOUNDS + 1e-6, UPPER_BOUNDS - 1e-6),
             bounds=(LOWER_BOUNDS, UPPER_BOUNDS),
             loss="soft_l1",
             f_scale=SD.OUTLIER,
             x_scale=PARAMETER_SCALES,
             ftol=PART.TOLERANCE,
             max_nfev=40,
-            args=(noise,),
         )
-        theta, residuals = best.x, noise * best.fun[:count]
-        noise = max(1.0, robust_sd(residuals)) * np.sqrt(alike)
-    return theta, residuals, np.linalg.pinv(best.jac.T @ best.jac, hermitian=True)
+
+    count, alike = len(near.values), max(1.0, MM.BLUR_CORE**3 / float(np.prod(near.spacing)))
+    # before the noise is known, a part of the brightness
+    noise = 0.05 * max(min(1.5 * peak, near.ceiling) - low, 1.0)
+    rough = fit(theta, noise)
+    noise = max(1.0, noise * robust_sd(rough.fun[:count])) * np.sqrt(alike)
+    best = fit(rough.x, noise)
+    return best.x, noise * best.fun[:count], np.linalg.pinv(best.jac.T @ best.jac, hermitian=True)

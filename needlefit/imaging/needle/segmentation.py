@@ -18,8 +18,6 @@ from needlefit.imaging.needle.axis_spline import FEWEST
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-MAX_PIECES = 100  # largest number of pieces, the longest, that are joined: noise may leave thousands
-
 
 def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]:
     """Return the thin pieces of a component, each (n, 3), i, j, k; none where nothing of it is wide.
@@ -116,7 +114,7 @@ def _join_pieces(
     """Return a needle together with the thin parts that are one tube with it across a gap, and these."""
     own, widest, n = [needle], find_widest(recipe), 0
     thin = [part for part in parts if 2 * part.width <= part.length and part.width <= widest]
-    left = thin[:MAX_PIECES]
+    left = thin[:100]  # the longest: noise may leave thousands
     while n < len(left):
         union = measure_component(volume, np.concatenate([needle.voxels, left[n].voxels]))
         gap = union.length - needle.length - left[n].length
