@@ -66,16 +66,16 @@ def trace_needle(
     DataError if the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
     """
     axis = component if isinstance(component, AxisSpline) else follow_tube(volume, component, recipe)
-    heel = bevel_length(recipe.needle) + MM.BEVEL_MARGIN
     if tip is None:
-        axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
+        axis = orient_axis(volume, axis, recipe)
+        axis = refine_axis(volume, axis, recipe, axis.length)
         at = find_end(volume, axis, recipe.needle.diameter_mm)
         refuse_cut_tip(volume, axis, at)
     else:
         base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
         axis = axis if last <= base else _reverse_axis(axis)
         at = _project_tip(axis, tip)[0]
-    axis = refine_axis(volume, axis, recipe, heel, at)
+    axis = refine_axis(volume, axis, recipe, at)
     placed = place_in_slices(volume, axis, recipe, at, spread)
     step = find_step(volume, axis, near_slices=placed is not None)
     if placed is not None:
@@ -84,7 +84,7 @@ def trace_needle(
         end = _place_tip(axis, tip, recipe.centerline.placed_tip_sd_mm)
     elif placed is None:
         start = TipProblem(volume, axis, recipe.needle, at, spread).search()
-        axis = refine_axis(volume, axis, recipe, heel, float(start[TIP]))
+        axis = refine_axis(volume, axis, recipe, float(start[TIP]))
         end = fit_tip(volume, axis, recipe.needle, start, spread)
         if end.misfit > PART.REFUSED_MISFIT and volume.resampled_top is None:
             raise DataError(
@@ -157,14 +157,18 @@ def project_point(points: Floats, place: Floats) -> tuple[float, float]:
     return float(arc_length(points)[n]) + along, float(np.linalg.norm(place - points[n] - along * way))
 
 
-def refine_axis(
-    volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, heel: float, tip: float | None = None
-) -> AxisSpline:
-    """Fit the spline through cross-sections from the start of the rough axis to `heel` mm before its `tip`.
+def _measure_heel(recipe: ReconstructionRecord) -> float:
+    """Return from how far before the tip on the bevel may show, mm."""
+    return bevel_length(recipe.needle) + MM.BEVEL_MARGIN
 
-    The tip is where the axis ends, unless it is given, mm along it.
+
+def refine_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, tip: float) -> AxisSpline:
+    """Fit the spline through cross-sections from the start of the rough axis to the heel of its tip.
+
+    `tip`: where it is, mm along the axis.
     """
-    stop = max((axis.length if tip is None else tip) - heel, 8 * MM.STATION)
+    heel = _measure_heel(recipe)
+    stop = max(tip - heel, 8 * MM.STATION)
     for round_ in range(ROUNDS):
         s = np.arange(0.0, stop, MM.STATION)
         where = axis_frames(axis, s)
@@ -269,7 +273,7 @@ def _sample_centerline(
     """Return the points every station from the first cross-section to the tip."""
     count = int(np.ceil(end.at / MM.STATION)) + 1
     s = np.linspace(0.0, end.at, count)
-    heel = bevel_length(recipe.needle) + MM.BEVEL_MARGIN
+    heel = _measure_heel(recipe)
     swung = end.sd[1] * np.clip((s - end.at + heel) / heel, 0, 1)  # the rod alone holds the axis there
     sd = np.hypot(np.maximum(axis_sd(axis, s), swung), MM.GRID_SD)
     points = axis.spline(s)
@@ -289,7 +293,7 @@ def _sample_centerline(
     return Centerline(points, sd, end, drawn, float(hidden[-1]))
 
 
-def _soft_lengths(volume: Volume, axis: AxisSpline) -> tuple[float, float]:
+def _soft_lengths(volume: Volume, axis: AxisSpline) -> list[int]:
     """Return how far from each end the needle is surrounded by soft material without a break, mm.
 
     0 where an end stands in air or, held by a hub, in metal. An end that leaves the volume is where the
@@ -299,7 +303,5 @@ def _soft_lengths(volume: Volume, axis: AxisSpline) -> tuple[float, float]:
     plane = disc_points(5.0)
     values = sample_planes(volume, axis_frames(axis, s), plane[np.hypot(*plane.T) > 3.0])
     middle: Floats = np.nanmedian(values[np.isfinite(values).any(axis=1)], axis=1)
-    hard = np.flatnonzero((middle <= HU.LIGHT) | (middle >= HU.METAL))
-    if not len(hard):
-        return float(len(middle)), float(len(middle))
-    return float(hard[0]), float(len(middle) - 1 - hard[-1])
+    hard = (middle <= HU.LIGHT) | (middle >= HU.METAL)
+    return [int(np.argmax(np.append(one, True))) for one in (hard, hard[::-1])]

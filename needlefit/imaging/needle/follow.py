@@ -129,10 +129,9 @@ def _extend(volume: Volume, places: Floats, level: float, recipe: Reconstruction
 
     A guide of metal that is stated may hide it.
     """
-    known, faint, hidden = list(places[-round(2 * MM.KNOT / STEP_MM) :]), 0.0, 0.0
+    known, faint, hidden = list(places), 0.0, 0.0
     thickness = recipe.guide.thickness_mm or 0.0
-    longest = thickness + 2 * MM.BEYOND_END if thickness else 0.0
-    while faint <= MM.EDGE_BLUR and hidden <= longest:
+    while faint <= MM.EDGE_BLUR and hidden <= thickness + 2 * MM.BEYOND_END:
         recent = np.array(known[-round(2 * MM.KNOT / STEP_MM) :])
         middle, (way, *_) = principal_axes(recent)
         way = way * np.sign(way @ (recent[-1] - recent[0]))

@@ -210,8 +210,8 @@ class NeedleSelection:
     """The needle, the other tubes, and what a person should know."""
 
     needle: Component
-    others: tuple[Component, ...] = ()
-    warnings: tuple[str, ...] = ()
+    others: tuple[Component, ...]
+    warnings: tuple[str, ...]
 
 
 def select_needle(
@@ -254,11 +254,9 @@ def select_needle(
             )
         needle = tubes[nearest]
     others = tuple(part for part in tubes if part is not needle)
-    if not others:
-        return NeedleSelection(needle)
     listed = "; ".join(map(describe_tube, others))
     note = f"beside the needle ({describe_tube(needle)}) the scan holds {listed}"
-    return NeedleSelection(needle, others, (note,))
+    return NeedleSelection(needle, others, (note,) if others else ())
 
 
 def describe_tube(part: Component) -> str:
