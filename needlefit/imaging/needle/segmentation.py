@@ -66,7 +66,8 @@ def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
 
     First those of the first threshold that shows one, the longest first. Each has the pieces that lie on its
     curve, which rays, a holder or the change from one slice to the next cut off. Then those that other
-    thresholds show beside them: half-way between two slices a needle is fainter than a thicker rod.
+    thresholds show beside them, nearly as long: half-way between two slices a needle is fainter than a
+    thicker rod.
 
     DataError if nothing is as bright as metal, or no component is a tube.
     """
@@ -82,7 +83,7 @@ def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
             left = [part for part in left if part not in own]  # of one needle each
             joined += [tube] if is_tube(tube, recipe) and set(own).isdisjoint(tubes) else []
         joined.sort(key=lambda tube: tube.length, reverse=True)
-        least = PART.DIVIDED_NEEDLE * tubes[0].length if tubes else 0.0
+        least = PART.SECOND_NEEDLE * tubes[0].length if tubes else 0.0
         tubes += [tube for tube in joined if tube.length >= least]
         known = np.concatenate([tube.voxels for tube in tubes]) if tubes else None
     if tubes:
