@@ -31,7 +31,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, minimum_filter
 from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
@@ -62,6 +62,9 @@ TIP_SDS = np.array([1.0, 10.0])  # prior SDs of where the needle ends (mm), and 
 # sizes of moves: of the axis along the normal in slices, across in mm, of its end in mm
 MOVE_SIZES = (0.4, 0.15)
 TRIED_MOVES = 6  # number of moves from which a fit begins
+TRIED_MIRRORED = 3  # number of mirrored axes from which a fit begins
+FLAT_SLICES = 2.0  # smallest number of slices over which an axis reaches that does not lie flat
+LINE_SHIFTS = np.arange(-0.6, 0.7, 0.15)  # shifts (slices) of an axis' ends along the normal
 MOVED_STEPS = 4  # largest number of steps of such a fit
 LEAST_GAIN = 0.5  # smallest fall of the misfit (in squared deviations) that makes a minimum a lower one
 # numbers of deviations beyond which residuals count less, in the first fit and later
@@ -158,7 +161,7 @@ class _Minimum(NamedTuple):
 
     misfit: float
     theta: Floats
-    slopes: Floats  # (R, P); of the residuals
+    jacobian: Floats  # (R, P); of the residuals
 
 
 class _SliceProblem:
@@ -262,16 +265,16 @@ class _SliceProblem:
         count = self.at.shape[1]
         return np.split(theta, [count, 2 * count, 2 * count + 2])
 
-    def known(self, theta: Floats) -> Floats:
+    def prior(self, theta: Floats) -> Floats:
         """Return what is known before, in its deviations; linear in the parameters."""
         across, along, end, scan = self.split(theta)
-        known = [self.bent @ across, self.bent @ along, end / TIP_SDS, (scan - self.means) / self.sds]
+        pulls = [self.bent @ across, self.bent @ along, end / TIP_SDS, (scan - self.means) / self.sds]
         if self.hub is not None:
             place = self.hub.ends[1]
             row = _extend(self.basis, place[:1])
             sds = HUB_SDS * np.array([1.0, self.thick])
-            known += [(row @ across - place[1]) / sds[0], (row @ along - place[2]) / sds[1]]
-        return np.concatenate(known)
+            pulls += [(row @ across - place[1]) / sds[0], (row @ along - place[2]) / sds[1]]
+        return np.concatenate(pulls)
 
     def project(self, theta: Floats) -> csr_array:
         """Return the metal on the rays, which is kept while only parameters of the scan change."""
@@ -295,24 +298,24 @@ class _SliceProblem:
 
     def residuals(self, theta: Floats) -> Floats:
         """Return what slices show and what is known, both in their deviations."""
-        return np.append(self.weigh(self.image(theta) - self.shown), self.known(theta))
+        return np.append(self.weigh(self.image(theta) - self.shown), self.prior(theta))
 
-    def slopes(self, theta: Floats, first: int = 0) -> Floats:
+    def differentiate(self, theta: Floats, first: int = 0) -> Floats:
         """Return the derivatives of the residuals by the parameters from `first` on.
 
-        Across, the image is taken to move with the needle: its true derivatives lead to where the model errs.
+        Across the needle the image is taken to move with it. Its true derivatives fit the model's errors.
         """
-        here, known, count = self.residuals(theta), self.known(theta), self.at.shape[1]
+        here, prior, count = self.residuals(theta), self.prior(theta), self.at.shape[1]
         steps = np.eye(len(theta)) * STEP
-        slopes = [(self.residuals(theta + step) - here) / STEP for step in steps[max(first, count) :]]
+        columns = [(self.residuals(theta + step) - here) / STEP for step in steps[max(first, count) :]]
         if first == 0:
             shift = (self.image(theta, STEP) - self.image(theta)) / STEP
             pairs = zip(self.at.T, steps, strict=False)
-            slopes[:0] = [
-                np.append(self.weigh(-shift * column[:, None]), (self.known(theta + step) - known) / STEP)
+            columns[:0] = [
+                np.append(self.weigh(-shift * column[:, None]), (self.prior(theta + step) - prior) / STEP)
                 for column, step in pairs
             ]
-        return np.stack(slopes, axis=1)
+        return np.stack(columns, axis=1)
 
     def loss(self, squared: Floats) -> Floats:
         """Return Cauchy's loss of squared residuals (R,) of the image, and its derivatives (3, R)."""
@@ -324,34 +327,37 @@ class _SliceProblem:
         self,
         start: Floats,
         steps: int = STEPS,
-        near: Floats | None = None,
+        jacobian: Floats | None = None,
         first: int = 0,
         robust: float = ROBUST_SD,
     ) -> "_Minimum":
         """Return the least squares near `start`.
 
-        `near`: the slopes near `start`, if they are known. Parameters before `first` stay.
+        `jacobian`: the derivatives near `start`, if they are known. Parameters before `first` stay.
         """
-        residuals: list[Floats] = []  # the last ones: of where slopes are asked for
-        last: list[Floats] = []  # where slopes were asked for last, with residuals and slopes
-        turns = cycle(range(3))
+        last_residuals: list[Floats] = []  # where derivatives are asked for
+        last: list[Floats] = []  # where they were asked for last, with residuals and derivatives
+        kept = cycle((True, True, False))
 
         def evaluate(there: Floats) -> Floats:
-            residuals[:] = [self.residuals(np.append(start[:first], there))]
-            return residuals[0]
+            last_residuals[:] = [self.residuals(np.append(start[:first], there))]
+            return last_residuals[0]
 
-        # slopes serve two further steps, or all, corrected by what each showed
+        # derivatives are calculated at every third step, or given; at other steps the last ones are corrected
+        # by what that step showed (C. G. Broyden, Math. Comp. 19 (1965) 577-593)
         def differentiate(there: Floats) -> Floats:
-            fresh = near is None and next(turns) == 0
-            if fresh or not last:
-                slopes = self.slopes(np.append(start[:first], there), first) if near is None else near
-            else:
-                before, left, slopes = last
+            if last and (jacobian is not None or next(kept)):
+                before, residuals, here = last
                 step = there - before
-                weight = step * np.sum(slopes**2, axis=0)
-                slopes = slopes + np.outer(residuals[0] - left - slopes @ step, weight / (weight @ step))
-            last[:] = there, residuals[0], slopes
-            return slopes
+                weight = step * np.sum(here**2, axis=0)
+                error = last_residuals[0] - residuals - here @ step
+                here = here + np.outer(error, weight / (weight @ step))
+            elif jacobian is None:
+                here = self.differentiate(np.append(start[:first], there), first)
+            else:
+                here = jacobian
+            last[:] = there, last_residuals[0], here
+            return here
 
         solved = least_squares(
             evaluate,
@@ -396,12 +402,12 @@ class _SliceProblem:
     def solve(self, start: Floats) -> tuple[Floats, Floats, float]:
         """Return parameters near `start`, their covariance and the model's relative error."""
         # with ends before rolls a tip was 0.41 mm short, with both at once 0.01
-        first = self.descend(self.turn(start), robust=FIRST_ROBUST_SD)
-        minimum = self.leave_minima(self.descend(self.turn(first.theta), near=first.slopes))
-        best = self.descend(self.turn(minimum.theta), near=minimum.slopes).theta
+        first = self.descend(self.choose_end(start), robust=FIRST_ROBUST_SD)
+        minimum = self.leave_minima(self.descend(self.choose_end(first.theta), jacobian=first.jacobian))
+        best = self.descend(self.choose_end(minimum.theta), jacobian=minimum.jacobian).theta
         image = self.image(best)
         self.scale = scale = self.measure_deviations(image)
-        jacobian = self.slopes(best)
+        jacobian = self.differentiate(best)
         left = np.where(self.seen[..., None], image - self.shown, 0.0) / scale
         left /= np.sqrt(1 + (left / ROBUST_SD) ** 2)
         factor = correlation_factor(np.moveaxis(left, 1, 0).reshape(left.shape[1], -1), len(best))
@@ -411,19 +417,51 @@ class _SliceProblem:
     def leave_minima(self, best: "_Minimum") -> "_Minimum":
         """Return a minimum from whose neighbourhood no fit leads to a lower one.
 
-        Fits begin at moves of the axis along the normal, and of its end; those that end lowest after one step
-        go on.
+        Fits begin at moves of the axis along the normal, and of its end; where the axis lies flat also at
+        its mirror images, and at lines that are added to it. Those that end lowest after one step go on.
         """
         moves = np.vstack([size * np.vstack(self.moves[1:]) for size in MOVE_SIZES])
+        flat = np.ptp(self.at @ self.split(best.theta)[1]) < FLAT_SLICES * self.thick
+        lines = self.add_lines(best.theta) if flat else []
         while True:
-            steps = [self.descend(best.theta + move, steps=2, near=best.slopes) for move in [*moves, *-moves]]
+            steps = [
+                self.descend(best.theta + move, steps=2, jacobian=best.jacobian) for move in [*moves, *-moves]
+            ]
+            far = [*self.mirror(best.theta), *lines] if flat else []
+            steps += [self.descend(theta, steps=2) for theta in far]
+            lines = []
             for start in sorted(steps, key=attrgetter("misfit"))[:TRIED_MOVES]:
-                near = self.descend(start.theta, steps=MOVED_STEPS, near=start.slopes)
-                if near.misfit < best.misfit - LEAST_GAIN:
-                    best = self.descend(near.theta)
+                tried = self.descend(start.theta, steps=MOVED_STEPS, jacobian=start.jacobian)
+                if tried.misfit < best.misfit - LEAST_GAIN:
+                    best = self.descend(tried.theta)
                     break
             else:
                 return best
+
+    def mirror(self, theta: Floats) -> list[Floats]:
+        """Return the best axes that are mirrored about a slice's middle: as a whole, or on one side of it."""
+        _, along, *_ = self.split(theta)
+        height, mirrored = self.at @ along, list[Floats]()
+        bent = np.vstack([self.at, self.bent])  # the mirrored axis is smooth, too
+        for middle in self.thick * np.unique(np.rint(height / self.thick)):
+            nearest = int(np.argmin(np.abs(height - middle)))
+            for side in (slice(nearest), slice(nearest, None), slice(None)):
+                turned = height.copy()
+                turned[side] = 2 * middle - turned[side]
+                course = np.linalg.lstsq(bent, np.append(turned, np.zeros(len(self.bent))))[0]
+                mirrored.append(theta.copy())
+                mirrored[-1][len(along) : 2 * len(along)] = course
+        return sorted(mirrored, key=self.misfit)[:TRIED_MIRRORED]
+
+    def add_lines(self, theta: Floats) -> list[Floats]:
+        """Return the axis with a line added along the normal, where no line near it has a lower misfit."""
+        whole, turn = self.moves[1][:2]
+        before, behind = (whole - turn) / 2, (whole + turn) / 2
+        axes = theta + LINE_SHIFTS[:, None, None] * before + LINE_SHIFTS[:, None] * behind
+        misfits = np.apply_along_axis(self.misfit, 2, axes)
+        lowest = misfits == minimum_filter(misfits, 3)
+        order = np.argsort(misfits[lowest])
+        return [*axes[lowest][order][:TRIED_MOVES]]
 
     def misfit(self, theta: Floats) -> float:
         """Return what is minimized."""
@@ -431,7 +469,7 @@ class _SliceProblem:
         left = self.residuals(theta) / robust
         return float(robust**2 * np.sum(self.loss(left**2)[0]))
 
-    def turn(self, theta: Floats) -> Floats:
+    def choose_end(self, theta: Floats) -> Floats:
         """Return the parameters with the best of several ends and rolls of the bevel."""
         end, roll = np.eye(len(theta))[2 * len(self.start) :][:2]
         sides = np.arange(6) * np.pi / 3
