@@ -1,11 +1,13 @@
 """What of a needle in thick slices is found before it is fitted: its pieces, its hub."""
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 from refusals import refusal
 
 from needlefit.errors import DataError
 from needlefit.imaging.needle.hub import find_hub
+from needlefit.imaging.needle.rod_projection import CELL_MM, VIEW_GROWTH, VIEW_STEP, Rod
 from needlefit.imaging.needle.segmentation import find_tubes, select_needle
 from needlefit.imaging.volume import Volume, to_index, to_patient, turn_slices
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -53,3 +55,17 @@ def test_a_hub_before_a_needle_is_found_and_slices_along_another_axis_are_turned
     assert turned.spacing.tolist() == [0.5, 0.5, 1.0] and turn_slices(turned) is turned
     n = np.rint(to_index(turned, to_patient(volume, [[20, 20, 100]]))[0]).astype(int)
     assert turned.values[tuple(n[::-1])] == volume.values[100, 20, 20]
+
+
+@pytest.mark.parametrize("roll", [0.0, 1.2, np.pi / 2, -np.pi / 2])
+def test_a_rod_grows_in_a_plane_by_its_width_wherever_its_bevel_faces(roll):
+    columns, thick = np.arange(8.0, -8, -CELL_MM), 2.0
+    samples = thick * np.arange(3), np.array([0.0]), np.zeros((1, 1))
+    rod = Rod(columns, 0.6, np.tan(np.radians(30)), thick, *samples, VIEW_STEP, VIEW_GROWTH)
+    middle = int(np.argmin(np.abs(rod.planes - 2)))
+    across, along = np.zeros((2, len(columns)))
+    along += rod.planes[middle]
+    ends = np.linspace(4.0, 4.5, 11)
+    areas = [rod.lengths(across, along, end, roll)[[middle]].sum() for end in ends]
+    growth = np.diff(areas) * CELL_MM / len(rod.views[0]) / np.diff(ends)
+    assert_allclose(growth, 1.19, rtol=0.25)  # the mean chord of the plane

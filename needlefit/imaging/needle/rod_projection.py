@@ -110,10 +110,13 @@ class Rod:
         radius = self.radius if hub is None else hub[1]
         chord = self._half_area(away + reach, radius) - self._half_area(away - reach, radius)
         chord /= 2 * reach
-        # of the chord the part beyond the bevel's face is missing
-        lean = chord * max(abs(np.cos(roll)), 0.05)
+        piece = np.abs(np.gradient(self.columns))
+        # of the chord the part beyond the bevel's face is missing; a face that does not cut it from side to
+        # side cuts a piece, and a plane, over their length and thickness
+        ramp = (piece * self.steep + 2 * reach * abs(np.sin(roll))) / 2
+        lean = np.maximum(chord * abs(np.cos(roll)), ramp)
         face = self.radius - away * np.sin(roll) - (end - self.columns) * self.steep
-        part = np.clip((lean - face) / np.maximum(2 * lean, 1e-9), 0, 1)
+        part = np.clip((lean - face) / (2 * lean), 0, 1)
         if hub is not None:
             part = np.where((self.columns > hub[0]) & (self.columns < end), np.ones_like(part), 0.0)
         plane, c = np.nonzero((chord > 0) & (part > 0))
@@ -123,7 +126,6 @@ class Rod:
         # every piece is a parallelogram, whose image is a trapezoid; in single precision it is twice as fast
         angles, count = self.views[0], 2 * self.half
         sine, cosine = np.sin(angles).astype(np.float32), np.cos(angles).astype(np.float32)
-        piece = np.abs(np.gradient(self.columns))
         pieces = np.stack([width, place, drift[c], self.columns[c], piece[c]])[..., None].astype(np.float32)
         width, place, drift, at, piece = pieces
         middle = (place * cosine - at * sine) / CELL_MM + self.half
