@@ -18,6 +18,8 @@ from needlefit.imaging.needle.axis_spline import FEWEST
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
+MAX_PIECES = 100  # largest number of pieces, the longest, that are joined: noise may leave thousands
+
 
 def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]:
     """Return the thin pieces of a component, each (n, 3), i, j, k; none where nothing of it is wide.
@@ -62,40 +64,27 @@ class Component:
 
 
 def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
-    """Return the components that may be the needle.
+    """Return the components that may be the needle, the longest first.
 
-    First those of the first threshold that shows one, the longest first. Each has the pieces that lie on its
-    curve, which rays, a holder or the change from one slice to the next cut off. Then those that other
-    thresholds show beside them, nearly as long: half-way between two slices a needle is fainter than a
-    thicker rod.
+    They are those of the first threshold that shows one. Each has the pieces that lie on its curve, which
+    rays, a holder or the change from one slice to the next cut off.
 
     DataError if nothing is as bright as metal, or no component is a tube.
     """
-    tubes, known = list[Component](), None
     for low, high in list_thresholds(volume, recipe):
-        if tubes and low < volume.tissue + HU.METAL_CONTRAST:
-            continue
-        parts = cut_components(volume, find_components(volume, low, high, known), recipe)
+        parts = cut_components(volume, find_components(volume, low, high), recipe)
         parts.sort(key=lambda part: part.length, reverse=True)
-        left, joined = [*tubes, *parts], list[Component]()
+        left, joined = parts, list[Component]()
         while seeds := [part for part in left if is_tube(part, recipe, 2 * MM.EDGE_BLUR)]:
             tube, own = _join_pieces(volume, seeds[0], left, recipe)
             left = [part for part in left if part not in own]  # of one needle each
-            joined += [tube] if is_tube(tube, recipe) and set(own).isdisjoint(tubes) else []
-        joined.sort(key=lambda tube: tube.length, reverse=True)
-        least = PART.SECOND_NEEDLE * tubes[0].length if tubes else 0.0
-        tubes += [tube for tube in joined if tube.length >= least]
-        known = np.concatenate([tube.voxels for tube in tubes]) if tubes else None
-    if tubes:
-        return tubes
-    width = find_widest(recipe)
-    largest = "".join(
-        f"; the longest bright object is {part.length:.1f} mm long, {part.width:.1f} mm wide, "
-        f"{part.bend:.1f} mm (RMS) off a parabola"
-        for part in parts[:1]
-    )
+            joined += [tube] if is_tube(tube, recipe) else []
+        if joined:
+            return sorted(joined, key=lambda tube: tube.length, reverse=True)
+    largest, width = parts[0], find_widest(recipe)
     raise DataError(
-        f"no needle was found{largest}",
+        f"no needle was found; the longest bright object is {largest.length:.1f} mm "
+        f"long, {largest.width:.1f} mm wide, {largest.bend:.1f} mm (RMS) off a parabola",
         expected=f"{MM.NEEDLE_LENGTH:g} mm or longer, at most {width:.1f} mm wide, {width / 2:.1f} mm off",
         fix=(
             "give a scan with more of the needle and its tip; or set needle.diameter_mm in "
@@ -115,7 +104,7 @@ def _join_pieces(
     """Return a needle together with the thin parts that are one tube with it across a gap, and these."""
     own, widest, n = [needle], find_widest(recipe), 0
     thin = [part for part in parts if 2 * part.width <= part.length and part.width <= widest]
-    left = thin[:100]  # the longest: noise may leave thousands
+    left = thin[:MAX_PIECES]
     while n < len(left):
         union = measure_component(volume, np.concatenate([needle.voxels, left[n].voxels]))
         gap = union.length - needle.length - left[n].length
@@ -166,16 +155,21 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
     return [(tissue + height, tissue + 1.25 * height) for height in heights]
 
 
-def find_components(volume: Volume, low: float, high: float, without: Ints | None) -> list[Component]:
+def find_components(volume: Volume, low: float, high: float) -> list[Component]:
     """Return the components above `low` that somewhere exceed `high` (HU), with their measures.
 
-    Those that hold one of the voxels `without` (N, 3) are left out.
+    DataError if no voxel exceeds `high`.
     """
-    return [
+    parts = [
         measure_component(volume, ijk)
-        for ijk in volume.list_bright(low).list_parts(low, (FEWEST, np.inf), without)
+        for ijk in volume.list_bright(low).list_parts(low, (FEWEST, np.inf))
         if np.any(volume.values[tuple(ijk.T[::-1])] > high)
     ]
+    if not parts:
+        raise DataError(
+            f"no voxels exceed {high:.0f} HU", expected="a needle brighter than that", fix="give a mask"
+        )
+    return parts
 
 
 def is_tube(part: Component, recipe: ReconstructionRecord, least: float = MM.NEEDLE_LENGTH) -> bool:
@@ -275,11 +269,9 @@ def find_ends(part: Component) -> Floats:
 def list_needles(
     tubes: Sequence[Component], diameter: float, ratio: float = PART.SECOND_NEEDLE
 ) -> list[Component]:
-    """Return the tubes that may be a needle beside the first one, the longest that was found first.
-
-    A fainter one may be, too: how bright a needle is depends on where in the slices it lies.
-    """
-    alike = [part for part in tubes if part.length >= ratio * tubes[0].length]
+    """Return the tubes, of those given longest first, that may be a needle beside the longest one."""
+    level, length = ratio * tubes[0].values.mean(), ratio * tubes[0].length
+    alike = [part for part in tubes if part.length >= length and part.values.mean() >= level]
     shown = math.hypot(diameter, math.sqrt(8 * math.log(2)) * SCANNER.BLUR.value)  # blur widens its image
     misses = [abs(math.log(part.width / shown)) for part in alike]
     clear = min(misses) + math.log(PART.CLEAR)
