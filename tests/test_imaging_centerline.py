@@ -249,6 +249,15 @@ def test_a_needle_near_thick_slices_does_not_follow_their_staircase(tilt, overla
     assert line.step is None
 
 
+def test_a_needle_near_slices_that_show_something_else_beside_it_is_refused_unless_its_tip_is_placed():
+    volume, truth = in_slices(3.0, 0.4)
+    volume.values[:, 22:26, :110] += 1500
+    recipe = cases.recipe(needle={"bevel_deg": 90}, centerline={"entry_direction": [1, 0, 0]})
+    refusal(DataError, "does not show", found, volume, recipe)
+    needle = select_needle(volume, recipe).needle
+    assert centerline.trace_needle(volume, needle, recipe, tip=truth[1]).end.misfit > 0.8
+
+
 def test_a_step_of_a_needle_near_thick_slices_is_found():
     volume, _ = in_slices(6.0, 0.4)
     volume.values[9:] = np.roll(volume.values[9:], 1, axis=1)  # by 0.5 mm

@@ -114,7 +114,8 @@ class PART:
     SHOWN = 0.5  # of a cross-section in the volume, and of the way between points on which a needle shows
     REFUSED_MISFIT = 0.32  # of an end's image: needles alone have 0.31 at most, with a ball at the end 0.33
     END_MISFIT = 0.14  # of an end's image, that is spoken of
-    SLICE_MISFIT = 0.35  # of slices that are fitted as a whole [S]
+    SLICE_MISFIT = 0.35  # of slices that are fitted as a whole, that is spoken of [S]
+    REFUSED_SLICES = 0.8  # of these, refused: other needles have 0.52 at most, one that is 0.7 mm off 1.1 [S]
     FLATNESS = 1.15  # voxels' length over width of a scanner's slices; those of cone beams are cubes
     HUB_RADIUS = 1.8  # least, over the needle's diameter
     BOX = 0.8  # of the variance of a slice's profile: the rest is a Gaussian's

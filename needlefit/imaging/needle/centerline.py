@@ -81,26 +81,34 @@ def trace_needle(
     if placed is not None:
         axis, end = placed
     if tip is not None:
-        end = _place_tip(axis, tip, recipe.centerline.placed_tip_sd_mm)
+        misfit = 0.0 if placed is None else end.misfit
+        end = replace(_place_tip(axis, tip, recipe.centerline.placed_tip_sd_mm), misfit=misfit)
     elif placed is None:
         start = TipProblem(volume, axis, recipe.needle, at, spread).search()
         axis = refine_axis(volume, axis, recipe, float(start[TIP]))
         end = fit_tip(volume, axis, recipe.needle, start, spread)
-        if end.misfit > PART.REFUSED_MISFIT and volume.resampled_top is None:
-            raise DataError(
-                f"where the needle ends does not show: {describe_misfit(end.misfit)}",
-                expected=f"an end that is surrounded by tissue, at most {100 * PART.REFUSED_MISFIT:.0f} %",
-                fix=(
-                    "look at it: export the series with a softer kernel, scan without a marker or "
-                    "other metal there, state needle.diameter_mm and needle.bevel_deg; or place the "
-                    "tip in 3D Slicer (--corrections)"
-                ),
-                where=f"L, P, S = {', '.join(f'{x:.0f}' for x in end.point)} mm",
-            )
+        if volume.resampled_top is None:
+            _refuse_misfit(end, PART.REFUSED_MISFIT)
+    else:
+        _refuse_misfit(end, PART.REFUSED_SLICES)
     # through the tip, so that the end is interpolated: what its deviation adds for the model's error is none
     # of its place beside the last cross-sections
     axis = extend_axis(axis, end.at, end.point, MM.GRID_SD, MM.KNOT)
     return replace(_sample_centerline(volume, axis, end, recipe), step=step)
+
+
+def _refuse_misfit(end: TipFit, limit: float) -> None:
+    if end.misfit > limit:
+        raise DataError(
+            f"where the needle ends does not show: {describe_misfit(end.misfit)}",
+            expected=f"a needle that is surrounded by tissue, at most {100 * limit:.0f} %",
+            fix=(
+                "look at it: export the series with a softer kernel, scan without a marker or "
+                "other metal there, state needle.diameter_mm and needle.bevel_deg; or place the "
+                "tip in 3D Slicer (--corrections)"
+            ),
+            where=f"L, P, S = {', '.join(f'{x:.0f}' for x in end.point)} mm",
+        )
 
 
 def describe_misfit(misfit: float) -> str:
