@@ -197,22 +197,25 @@ LEVELS = {
 }
 
 
-def draw_row(seed: int) -> Row:
-    """Draw the levels of a volume whose needle lies in slices of 0.8 to 2 mm; balls are 1.5 slices wide."""
+def draw_row(seed: int, way: str = "inplane") -> Row:
+    """Draw the levels of a volume whose needle lies in slices of 0.8 to 2 mm; balls are 1.5 slices wide.
+
+    `way` "flat": it bends in the slices alone, and they turn by at most 1 degree against it.
+    """
     rng = random_stream(SEED, "levels", seed)
     levels = {name: str(rng.choice(choices)) for name, choices in LEVELS.items()}
     slices = IN_SLICE_MM[seed % len(IN_SLICE_MM)]
     sizes = [size for size in ("2", "3", "5") if float(size) >= 1.5 * float(slices)]
-    levels |= {"way": "inplane", "voxels": f"{rng.choice(('0.3', '0.4', '0.5', '0.6'))}x{slices}"}
+    levels |= {"way": way, "voxels": f"{rng.choice(('0.3', '0.4', '0.5', '0.6'))}x{slices}"}
     levels["ball_mm"] = str(rng.choice(sizes))
-    return Row(f"s{seed}", {name: levels[name] for name in FACTORS})
+    return Row(f"{'f' if way == 'flat' else 's'}{seed}", {name: levels[name] for name in FACTORS})
 
 
 def make_case(row: Row) -> Case:
     """Return the scene of a row; it depends on the row and `SEED` only."""
     rng, level = random_stream(SEED, "real scanners", row.name), row.levels
     world = _place_world(level["way"], rng)
-    axis, bevel = _draw_needle(rng)
+    axis, bevel = _draw_needle(rng, level["way"] == "flat")
     interfaces = np.array([rng.uniform(10, 14), rng.uniform(22, 28)])
     diameter = float(level["ball_mm"])
     places = BALL_PLACES - np.where(BALL_PLACES[:, :1] == 0, [diameter / 2, 0, 0], 0.0)
@@ -304,19 +307,25 @@ def render_cached(case: Case, folder: Path) -> Path:
 
 def _place_world(way: str, rng: np.random.Generator) -> Frame:
     """Return the world in the scan: its x axis along the slices' normal, oblique, or in the slices."""
-    along = {"along": 0.0, "oblique": rng.uniform(35, 55), "inplane": rng.uniform(84, 96)}[way]
+    along = {"along": 0.0, "oblique": rng.uniform(35, 55), "inplane": rng.uniform(84, 96)}
+    along["flat"] = 90 + (along["inplane"] - 90) / 6
     upright = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])  # columns: x to the head
-    tilt = Rotation.from_euler("y", along, degrees=True)
-    turn = Rotation.from_rotvec(rng.uniform(-4, 4, 3), degrees=True)
+    tilt = Rotation.from_euler("y", along[way], degrees=True)
+    turned = [0, 0, 1] if way == "flat" else 1
+    turn = Rotation.from_rotvec(rng.uniform(-4, 4, 3) * turned, degrees=True)
     return Frame(rng.uniform(-80, 80, 3), (turn * tilt).as_matrix() @ upright)
 
 
-def _draw_needle(rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return the axis of a needle that bends toward its bevel's point, and the direction of that."""
+def _draw_needle(rng: np.random.Generator, flat: bool) -> tuple[Floats, Floats]:
+    """Return the axis of a needle that bends toward its bevel's point, and the direction of that.
+
+    A `flat` one stays where the world's y axis, the slices' normal, is 0.
+    """
     depth, angle = rng.uniform(36, 42), rng.uniform(0, 2 * np.pi)
+    angle = np.pi / 2 if flat else angle
     side = np.array([0.0, np.cos(angle), np.sin(angle)])
     x = np.concatenate([np.linspace(depth - NEEDLE_LENGTH_MM, 0, 16)[:-1], np.linspace(0, depth, 25)])
-    bend, slope = rng.uniform(0.5, 4.0), np.radians(rng.uniform(-2, 2, 2))
+    bend, slope = rng.uniform(0.5, 4.0), np.radians(rng.uniform(-2, 2, 2)) * (not flat, 1)
     part = np.clip(x, 0, None) / depth
     curve = bend * (1.5 * part**2 - 0.5 * part**3)  # no curvature at the tip
     axis = np.column_stack([x, slope[0] * x, slope[1] * x]) + curve[:, None] * side

@@ -7,18 +7,20 @@ voxels x material, size and number of the balls x range of HU x accessories x be
 on the part `tuning`; the part `apart` is for what is reported afterwards. Every volume is reconstructed and
 checked as the program does. A row is `wrong` if tip, entry, inserted length, registration or a crossing is
 off by more than 1 mm. `--seeds FIRST:LAST` draws volumes instead whose needle lies in or near slices of 0.8,
-1, 1.5 and 2 mm, in turn; constants were set on seeds below 2000. They show little but the needle, which alone
-is traced; the scene is that of a whole volume. `--guides FIRST:LAST` draws such volumes with a guide of six
-materials before the tissue, or none, whose thickness is stated: `wrong` is an entry that is off by more than
-0.3 mm. Rendered volumes stay in the folder `--cache`, so that a run can be continued.
+1, 1.5 and 2 mm, in turn. They show little but the needle, which alone is traced; the scene is that of a whole
+volume. `--flat FIRST:LAST` draws such volumes whose needle turns by at most 1 degree against the slices, and
+crosses one or two. `--guides FIRST:LAST` draws narrow volumes with a guide of six materials before the
+tissue, or none, whose thickness is stated: `wrong` is an entry that is off by more than 0.3 mm. Modules of
+`needlefit/imaging` name the volumes on which their constants were set. Rendered volumes stay in the folder
+`--cache`, so that a run can be continued.
 
 Errors in mm: `axis` mean distance of the needle's points from the true axis; `tip_along` (negative: short)
 and `tip_across`; `entry` along the needle, as it lies in the scan; `length` inserted; `tre` of true entry
 and tip, the larger; `crossing` the largest distance of a point at which a layer is crossed. `bevel_deg` is
-the error of the bevel's side; `bevel_stated`: whether one is stated. With `--seeds`, `side` and `normal` are
-the parts of `axis` in the slices and along their normal, `tip_side` and `tip_normal` those of the tip;
-`crossed` is how many slices the needle crosses, `in_68`, `in_95` which part lies within 1 and 1.96 stated
-deviations, `rms` the root mean square of errors in deviations.
+the error of the bevel's side; `bevel_stated`: whether one is stated. With `--seeds` and `--flat`, `side` and
+`normal` are the parts of `axis` in the slices and along their normal, `tip_side` and `tip_normal` those of
+the tip; `crossed` is how many slices the needle crosses, `in_68`, `in_95` which part lies within 1 and 1.96
+stated deviations, `rms` the root mean square of errors in deviations.
 """
 
 import argparse
@@ -320,15 +322,18 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, required=True, help="folder of the rendered volumes")
     parser.add_argument("--part", choices=("tuning", "apart", "all"), default="tuning")
     parser.add_argument("--seeds", help="FIRST:LAST: volumes drawn by these seeds, needle in the slices")
+    parser.add_argument("--flat", help="FIRST:LAST: the same, needle within 1 degree of the slices")
     parser.add_argument("--guides", help="FIRST:LAST: volumes drawn by these seeds, with a guide")
     parser.add_argument("--volumes", type=int, help="only the first so many")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, help="write every volume's line to this CSV")
     arguments = parser.parse_args()
     design = read_design(arguments.part)
-    measure = partial(trace_narrow if arguments.seeds else score, cache=arguments.cache)
-    if arguments.seeds:
-        design = [draw_row(seed) for seed in range(*map(int, arguments.seeds.split(":")))]
+    narrow = arguments.seeds or arguments.flat
+    measure = partial(trace_narrow if narrow else score, cache=arguments.cache)
+    if narrow:
+        way = "inplane" if arguments.seeds else "flat"
+        design = [draw_row(seed, way) for seed in range(*map(int, narrow.split(":")))]
     work: tuple[Callable[[Any], dict[str, object]], Sequence[object]] = measure, design
     if arguments.guides:
         work = partial(enter_guided, cache=arguments.cache), range(*map(int, arguments.guides.split(":")))
@@ -339,7 +344,7 @@ def main() -> None:
         if arguments.out:
             pd.DataFrame(lines).sort_values("id").to_csv(arguments.out, index=False)
     rows = pd.DataFrame(lines).sort_values("id")
-    if arguments.seeds:
+    if narrow:
         print(summarize_narrow(rows).T.to_string(header=False, float_format=lambda x: f"{x:.3f}"))
         return
     if arguments.guides:
