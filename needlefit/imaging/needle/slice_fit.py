@@ -63,7 +63,6 @@ TIP_SDS = np.array([1.0, 10.0])  # prior SDs of where the needle ends (mm), and 
 MOVE_SIZES = (0.4, 0.15)
 TRIED_MOVES = 6  # number of moves from which a fit begins
 TRIED_MIRRORED = 3  # number of mirrored axes from which a fit begins
-FLAT_SLICES = 2.0  # smallest number of slices over which an axis reaches that does not lie flat
 LINE_SHIFTS = np.arange(-0.6, 0.7, 0.15)  # shifts (slices) of an axis' ends along the normal
 MOVED_STEPS = 4  # largest number of steps of such a fit
 LEAST_GAIN = 0.5  # smallest fall of the misfit (in squared deviations) that makes a minimum a lower one
@@ -417,11 +416,11 @@ class _SliceProblem:
     def leave_minima(self, best: "_Minimum") -> "_Minimum":
         """Return a minimum from whose neighbourhood no fit leads to a lower one.
 
-        Fits begin at moves of the axis along the normal, and of its end; where the axis lies flat also at
-        its mirror images, and at lines that are added to it. Those that end lowest after one step go on.
+        Fits begin at moves of the axis along the normal, and of its end; where the axis crosses no slice
+        also at its mirror images, and at lines that are added to it. Those that end lowest after one step go on.
         """
         moves = np.vstack([size * np.vstack(self.moves[1:]) for size in MOVE_SIZES])
-        flat = np.ptp(self.at @ self.split(best.theta)[1]) < FLAT_SLICES * self.thick
+        flat = np.ptp(self.at @ self.split(best.theta)[1]) < self.thick
         lines = self.add_lines(best.theta) if flat else []
         while True:
             steps = [
