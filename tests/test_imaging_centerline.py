@@ -15,6 +15,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from needlefit.errors import DataError
 from needlefit.imaging.batch import reconstruct_needles
+from needlefit.imaging.constants import PART
 from needlefit.imaging.needle import centerline, follow
 from needlefit.imaging.needle.centerline import refuse_fold
 from needlefit.imaging.needle.segmentation import select_needle
@@ -249,7 +250,10 @@ def test_a_needle_near_thick_slices_does_not_follow_their_staircase(tilt, overla
     assert line.step is None
 
 
-def test_a_needle_near_slices_that_show_something_else_beside_it_is_refused_unless_its_tip_is_placed():
+def test_a_needle_near_slices_that_show_something_else_beside_it_is_refused_unless_its_tip_is_placed(
+    monkeypatch,
+):
+    monkeypatch.setattr(PART, "REFUSED_SLICES", 0.8)
     volume, truth = in_slices(3.0, 0.4)
     volume.values[:, 22:26, :110] += 1500
     recipe = cases.recipe(needle={"bevel_deg": 90}, centerline={"entry_direction": [1, 0, 0]})

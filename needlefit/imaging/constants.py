@@ -115,7 +115,8 @@ class PART:
     REFUSED_MISFIT = 0.32  # of an end's image: needles alone have 0.31 at most, with a ball at the end 0.33
     END_MISFIT = 0.14  # of an end's image, that is spoken of
     SLICE_MISFIT = 0.35  # of slices that are fitted as a whole, that is spoken of [S]
-    REFUSED_SLICES = 0.8  # of these, refused: other needles have 0.52 at most, one that is 0.7 mm off 1.1 [S]
+    # Of such slices, that is refused: an axis at 2.4 was 4.9 mm off, those at 1.0 to 1.5 are by 0.2 to 0.7 [S]
+    REFUSED_SLICES = 2.0
     FLATNESS = 1.15  # voxels' length over width of a scanner's slices; those of cone beams are cubes
     HUB_RADIUS = 1.8  # least, over the needle's diameter
     BOX = 0.8  # of the variance of a slice's profile: the rest is a Gaussian's
@@ -128,7 +129,7 @@ class PART:
     BALL_MISFIT_SD = 0.35  # of its blur, per misfit [R]
     # Of the distance of slices, for a needle in them; of its square over the radius, for a ball [R] [S]
     SLICE_SD = 0.02
-    AIR = 0.02  # of a scan's voxels as dark as that: fewer do not count
+    AIR_VOXELS = 0.02  # of a scan's voxels, that are as dark as air: fewer do not count
     ISLANDS = 0.02  # of a layer's volume in these, and in cavities: less does not count
     TOLERANCE = 1e-3  # of a fit's cost and parameters, at which it ends: an end moves by less than 0.01 mm
 

@@ -106,12 +106,12 @@ def choose_entry(
         certain = faces[:1]
     else:
         certain = faces if is_tissue else []
-    # the likeliest first: what is stated, behind tissue where no change shows it; without a statement what is
-    # no soft tissue is more likely a guide
+    # the likeliest first: what is stated, also where no change shows it; otherwise what is no soft tissue is
+    # more likely a guide
     shown = faces if is_tissue else behind[:1]
     groups = [
         [place for place in places if tip - place.at >= MIN_DEPTH_MM]
-        for places in (certain, hidden if is_tissue else [], shown, faces, hidden, behind)
+        for places in (certain, hidden if is_tissue and not behind else [], shown, faces, hidden, behind)
     ]
     answers = next(filter(None, groups), [])[-1:]
     for other in sorted(chain(*groups), key=lambda other: -other.at):

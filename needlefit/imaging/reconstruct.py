@@ -89,7 +89,7 @@ def derive_reconstruction(image: NeedleImage, recipe: ReconstructionRecord) -> R
     entry, pose, shaft = estimate_first_contact(image, surfaces, recipe)
     if scan.id in scan.answers and not entry.confirmed:
         raise DataError(
-            "an answer about its entry is given, which is in no doubt",
+            "an answer about its entry is given, but the entry is in no doubt",
             expected="answers to what is asked",
             fix=f"leave out --confirm for {scan.id}",
         )

@@ -151,9 +151,9 @@ def _locate(file: str, info: ValidationInfo) -> Path:
     path, exists = folder / file, path_exists if info.field_name == "volume" else is_file
     if not exists(path):
         problem = "is a folder, no file" if path_exists(path) else "does not exist"
-        raise ValueError(f"a path that counts from {folder.absolute()}; {path} {problem}")
+        raise ValueError(f"a path from {folder.absolute()}\n{path} {problem}")
     if fault := name_fault(path.name):
-        raise ValueError(f"{EXPECTED_NAME}; {fault}")
+        raise ValueError(f"{EXPECTED_NAME}\n{fault}")
     return path
 
 
@@ -321,9 +321,15 @@ def _describe_fault(detail: ErrorDetails, place: str) -> Fault:
     value = repr(detail["input"]) if isinstance(detail["input"], str) else "empty"
     if detail["type"] == "extra_forbidden":
         text = "a column of `needlefit explain scans.csv`"
-    expected, _, problem = text.partition("; ")
-    what = f"{column} is {value}" + f": {problem}" * bool(problem)
-    return DataError(what, expected=expected, fix=fix, where=place)
+    expected, _, problem = text.partition("\n")
+    if problem:
+        return DataError(
+            f"{column} is {value}: {problem}",
+            expected=expected,
+            fix="check its name and path",
+            where=place,
+        )
+    return DataError(f"{column} is {value}", expected=expected, fix=fix, where=place)
 
 
 def find_owner(id_: str, ids: Container[str], is_divided: bool) -> str:

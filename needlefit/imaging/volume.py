@@ -290,7 +290,7 @@ def doubt_air(volume: Volume) -> Iterator[str]:
     some = volume.values[::3, ::3, ::3]
     dark = some[(some > some.min()) & (some < HU.GAP)]
     level = float(np.median(dark) if dark.size else some.min())
-    seldom = 0 < dark.size <= PART.AIR * some.size
+    seldom = 0 < dark.size <= PART.AIR_VOXELS * some.size
     if not (seldom or HU.AIR_RANGE[0] <= level <= HU.AIR_RANGE[1]):
         yield (
             f"the values may be no Hounsfield units: the darkest material, unless it is lung or foam, has "

@@ -100,8 +100,10 @@ def _follow(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> Axi
         places = places + np.where(shown[:, None], shifts, 0.0)
     level = float(np.median(amplitude))
     if level < HU.METAL_CONTRAST / 2 or shown.mean() < PART.SHOWN:
-        away = max(0.0, float(np.median(measure_face_distance(volume, places))))
+        away = float(np.median(measure_face_distance(volume, places)))
         outside = f"lies {away:.1f} mm from the volume's face: its surroundings are outside"
+        if away < 0:
+            outside = "lies outside the volume"
         dark = 100 * (1 - shown.mean())
         faint = f"is {level:.0f} HU brighter than its surroundings, and faint on {dark:.0f} %"
         raise DataError(

@@ -111,10 +111,9 @@ class Rod:
         chord = self._half_area(away + reach, radius) - self._half_area(away - reach, radius)
         chord /= 2 * reach
         piece = np.abs(np.gradient(self.columns))
-        # of the chord the part beyond the bevel's face is missing; a face that does not cut it from side to
-        # side cuts a piece, and a plane, over their length and thickness
-        ramp = (piece * self.steep + 2 * reach * abs(np.sin(roll))) / 2
-        lean = np.maximum(chord * abs(np.cos(roll)), ramp)
+        # of the chord the part beyond the bevel's face is missing; a face along the chord crosses it over the
+        # length of a piece
+        lean = np.maximum(chord * abs(np.cos(roll)), piece * self.steep / 2)
         face = self.radius - away * np.sin(roll) - (end - self.columns) * self.steep
         part = np.clip((lean - face) / (2 * lean), 0, 1)
         if hub is not None:

@@ -83,6 +83,8 @@ CORRELATED_SAMPLES = 10.0  # number of samples that count as one
 MIRROR_SD = 0.15
 MISFIT_SD = 0.07
 END_FACTOR = 4.0
+# SD (mm) of axis and end per relative misfit beyond the one that is spoken of: kernels for edges beside a hub
+UNLIKE_SD_MM = 0.5
 HUB_SDS = np.array([0.1, 0.3])  # SDs of a needle from its hub's middle: mm, and slices
 
 
@@ -130,7 +132,8 @@ def place_in_slices(
     end_sd, roll_sd = np.sqrt(np.diag(covariance)[2 * count : 2 * count + 2])
     # the mirror image of an axis about a slice that it does not cross looks the same
     flat = max(0.0, 1 - float(np.ptp(problem.at @ along)) / thick)
-    unseen = thick * np.hypot(MISFIT_SD * error, MIRROR_SD * flat)
+    mirrored, unexplained = thick * MIRROR_SD * flat, thick * MISFIT_SD * error
+    unlike = UNLIKE_SD_MM * max(0.0, error - PART.SLICE_MISFIT)
     places = np.append(np.arange(x[0], end - MM.STATION, MM.STATION), end)
     basis = _extend(problem.basis, places)
     beside = np.stack([across, along], axis=1)
@@ -138,12 +141,13 @@ def place_in_slices(
     s = arc_length(points)
     # the tip's stands for that of the last section
     sds = np.delete(np.sqrt(np.einsum("nc,kcd,nd->kn", basis, variances, basis)), -2, axis=1)
-    sds = np.hypot(sds, np.hypot(PART.SLICE_SD * thick, unseen))
+    sds = np.hypot(sds, np.linalg.norm([PART.SLICE_SD * thick, mirrored, unexplained, unlike]))
     placed = fit_axis(s[:-1], points[:-1], np.ones(len(s) - 1), MM.KNOT, s[-1])
     # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
     wider = np.mean(sds[0] ** 2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
     placed = replace(placed, variance=placed.variance * wider, slice_sds=sds)
-    end_sds = np.array([np.hypot(end_sd, END_FACTOR * unseen), np.linalg.norm(sds[:, -1]) / np.sqrt(2)])
+    along_sd = np.linalg.norm([end_sd, END_FACTOR * unexplained, unlike])
+    end_sds = np.array([along_sd, np.linalg.norm(sds[:, -1]) / np.sqrt(2)])
     roll_sd = ROLL_FACTOR * float(roll_sd) if rolled else np.nan
     bevel = point_bevel(frame[1], normal, float(roll), roll_sd)
     return placed, TipFit(float(s[-1]), points[-1], np.hypot(end_sds, MM.MODEL_SD), bevel, roll_sd, error)
@@ -265,7 +269,7 @@ class _SliceProblem:
         return np.split(theta, [count, 2 * count, 2 * count + 2])
 
     def prior(self, theta: Floats) -> Floats:
-        """Return what is known before, in its deviations; linear in the parameters."""
+        """Return the deviations from what is known before the fit, over their SDs; linear in `theta`."""
         across, along, end, scan = self.split(theta)
         pulls = [self.bent @ across, self.bent @ along, end / TIP_SDS, (scan - self.means) / self.sds]
         if self.hub is not None:
@@ -302,7 +306,8 @@ class _SliceProblem:
     def differentiate(self, theta: Floats, first: int = 0) -> Floats:
         """Return the derivatives of the residuals by the parameters from `first` on.
 
-        Across the needle the image is taken to move with it. Its true derivatives fit the model's errors.
+        By the coefficients across the needle they are those of an image that moves with the needle: the true
+        ones lead to axes that fit the model's errors.
         """
         here, prior, count = self.residuals(theta), self.prior(theta), self.at.shape[1]
         steps = np.eye(len(theta)) * STEP
@@ -416,8 +421,8 @@ class _SliceProblem:
     def leave_minima(self, best: "_Minimum") -> "_Minimum":
         """Return a minimum from whose neighbourhood no fit leads to a lower one.
 
-        Fits begin at moves of the axis along the normal, and of its end; where the axis crosses no slice
-        also at its mirror images, and at lines that are added to it. Those that end lowest after one step go on.
+        Fits begin at moves of the axis along the normal, and of its end; of an axis that crosses no slice also
+        at its mirror images, and at lines that are added to it. Those that end lowest after one step go on.
         """
         moves = np.vstack([size * np.vstack(self.moves[1:]) for size in MOVE_SIZES])
         flat = np.ptp(self.at @ self.split(best.theta)[1]) < self.thick
@@ -438,7 +443,7 @@ class _SliceProblem:
                 return best
 
     def mirror(self, theta: Floats) -> list[Floats]:
-        """Return the best axes that are mirrored about a slice's middle: as a whole, or on one side of it."""
+        """Return mirror images of the axis, or of one side of it, about slices' middles, the best first."""
         _, along, *_ = self.split(theta)
         height, mirrored = self.at @ along, list[Floats]()
         bent = np.vstack([self.at, self.bent])  # the mirrored axis is smooth, too
@@ -453,7 +458,7 @@ class _SliceProblem:
         return sorted(mirrored, key=self.misfit)[:TRIED_MIRRORED]
 
     def add_lines(self, theta: Floats) -> list[Floats]:
-        """Return the axis with a line added along the normal, where no line near it has a lower misfit."""
+        """Return the axis with lines added along the normal that have lower misfits than lines near them."""
         whole, turn = self.moves[1][:2]
         before, behind = (whole - turn) / 2, (whole + turn) / 2
         axes = theta + LINE_SHIFTS[:, None, None] * before + LINE_SHIFTS[:, None] * behind
