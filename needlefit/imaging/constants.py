@@ -115,7 +115,7 @@ class PART:
     REFUSED_MISFIT = 0.32  # of an end's image: needles alone have 0.31 at most, with a ball at the end 0.33
     END_MISFIT = 0.14  # of an end's image, that is spoken of
     SLICE_MISFIT = 0.35  # of slices that are fitted as a whole, that is spoken of [S]
-    # Of such slices, that is refused: an axis at 2.4 was 4.9 mm off, those at 1.0 to 1.5 are by 0.2 to 0.7 [S]
+    # Of such slices, that is refused: an axis at 2.4 was 4.9 mm off, those at 1.0 to 1.5 by 0.2 to 0.7 [S]
     REFUSED_SLICES = 2.0
     FLATNESS = 1.15  # voxels' length over width of a scanner's slices; those of cone beams are cubes
     HUB_RADIUS = 1.8  # least, over the needle's diameter

@@ -166,7 +166,7 @@ def _parse_layers(text: str, info: ValidationInfo) -> tuple[LayerSource, ...]:
         if not file.lower().endswith(endings):
             raise ValueError(
                 f"a mesh ({', '.join(MESH_SUFFIXES)}), with or without =sheet:2 or =solid:3, or "
-                f"segmentation ({', '.join(SEGMENTATION_SUFFIXES)}); {file} is none"
+                f"segmentation ({', '.join(SEGMENTATION_SUFFIXES)})\n{file} is none"
             )
         layers.append(LayerSource(_locate(file, info), kind or None, int(into or 0) or None))
     if len(layers) > 1 and any(layer.is_segmentation for layer in layers):

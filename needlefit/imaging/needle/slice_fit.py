@@ -421,8 +421,9 @@ class _SliceProblem:
     def leave_minima(self, best: "_Minimum") -> "_Minimum":
         """Return a minimum from whose neighbourhood no fit leads to a lower one.
 
-        Fits begin at moves of the axis along the normal, and of its end; of an axis that crosses no slice also
-        at its mirror images, and at lines that are added to it. Those that end lowest after one step go on.
+        Fits begin at moves of the axis along the normal, and of its end; of an axis that crosses no slice
+        also at its mirror images, and at lines that are added to it. Those that end lowest after one step go
+        on.
         """
         moves = np.vstack([size * np.vstack(self.moves[1:]) for size in MOVE_SIZES])
         flat = np.ptp(self.at @ self.split(best.theta)[1]) < self.thick
