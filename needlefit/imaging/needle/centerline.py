@@ -101,7 +101,7 @@ def _refuse_misfit(end: TipFit, limit: float) -> None:
     if end.misfit > limit:
         raise DataError(
             f"where the needle ends does not show: {describe_misfit(end.misfit)}",
-            expected=f"a needle that is surrounded by tissue, at most {100 * limit:.0f} %",
+            expected=f"a needle that is surrounded by tissue, and differs by at most {100 * limit:.0f} %",
             fix=(
                 "look at it: export the series with a softer kernel, scan without a marker or "
                 "other metal there, state needle.diameter_mm and needle.bevel_deg; or place the "
@@ -112,9 +112,9 @@ def _refuse_misfit(end: TipFit, limit: float) -> None:
 
 
 def describe_misfit(misfit: float) -> str:
-    """Return a sentence about how far an end is from the model: a misfit in parts of its brightness."""
+    """Return a sentence about how far an image is from the model: a misfit in parts of its brightness."""
     size = f"{100 * misfit:.0f} % of" if misfit <= 1 else "more than"
-    return f"the image of the needle's end differs from the model's by {size} its brightness"
+    return f"the image of the needle differs from the model's by {size} its brightness"
 
 
 def _place_tip(axis: AxisSpline, tip: Floats, along_sd: float) -> TipFit:
