@@ -11,8 +11,15 @@ from needlefit.geometry.frames import Frame
 from needlefit.imaging.assembly import DatasetDescription, assemble_dataset
 from needlefit.imaging.constants import MM
 from needlefit.imaging.needle.centerline import Centerline
+from needlefit.imaging.needle.tip import TipFit
 from needlefit.imaging.reconstruct import derive_reconstruction
-from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, NeedleImage, Reconstruction
+from needlefit.imaging.reconstruction import (
+    EntryChoice,
+    IntensityProfile,
+    MarkerResult,
+    NeedleImage,
+    Reconstruction,
+)
 from needlefit.imaging.registration import register
 from needlefit.project.random_streams import random_stream
 from synthetic.design import InsertionDesign, TrueSpread, list_designs
@@ -107,7 +114,7 @@ def _simulate_reconstruction(
         needle_axis=axis,
         profile=nothing,
         passed=(),
-        entry=None,
+        choice=EntryChoice(),
         markers=markers,
         registration=registration,
     )
@@ -134,7 +141,5 @@ def _simulate_axis(insertion: SyntheticInsertion, box: Frame, rng: np.random.Gen
     return Centerline(
         points=points,
         sd=np.hypot(AXIS_SD_MM, TIP_SD_MM[1] * np.exp((s - end) / TIP_REACH_MM)),
-        tip=points[-1],
-        tip_sd=np.array(TIP_SD_MM),
-        bevel=np.full(3, np.nan),
+        end=TipFit(end - begin, points[-1], np.array(TIP_SD_MM), bevel=np.full(3, np.nan), roll_sd=np.nan),
     )
