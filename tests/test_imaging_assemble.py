@@ -7,6 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 from pytest import approx
+from synthetic.build import build_dataset
+from synthetic.design import list_designs
 
 from needlefit.datasets.read import check, read
 from needlefit.geometry.frames import Frame
@@ -142,3 +144,10 @@ def own_surface(layers):
 def test_doubtful_reconstructions_give_warnings(change, words):
     warnings = [*collect_warnings(change(small()))]
     assert any(re.search(words, warning) for warning in warnings), warnings
+
+
+def test_an_insertion_of_the_synthetic_twin_is_as_deep_as_planned(tmp_path):
+    plan = list_designs()[:1]
+    dataset = read(build_dataset(tmp_path / "twin", 1, plan).parent)
+    (insertion,) = dataset.insertions
+    assert insertion.id == plan[0].id and insertion.depth == approx(plan[0].depth, abs=0.5)
