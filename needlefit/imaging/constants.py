@@ -103,7 +103,7 @@ class PART:
     """Fractions and factors, without a unit."""
 
     WIDENING = 2.5  # width of a needle's image over its own [R]
-    SECOND_NEEDLE = 0.6  # of the longest one's length
+    SECOND_NEEDLE = 0.6  # of the longest one's length and brightness
     DIVIDED_NEEDLE = 0.4  # the same, where all needles are wanted
     CLEAR = 1.5  # of two widths, or soft lengths, that are not of one thing
     BALL_DIAMETER = 1.5  # of a ball over that of as many voxels, at most
@@ -111,6 +111,7 @@ class PART:
     THRESHOLDS = (0.4, 0.25, 0.15, 0.08, 0.7)
     BRIGHTEST = 0.97  # of the brightest of something, beyond which all is as bright
     FAINT = 0.3  # of a needle's brightness: fainter sections show none
+    FIRST_NOISE = 0.05  # of a ball's brightness, before the noise is known
     SHOWN = 0.5  # of a cross-section in the volume, and of the way between points on which a needle shows
     REFUSED_MISFIT = 0.32  # of an end's image: needles alone have 0.31 at most, with a ball at the end 0.33
     END_MISFIT = 0.14  # of an end's image, that is spoken of

@@ -23,6 +23,8 @@ from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, measure_face_distance, require_inside, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
+LEVEL_RATIO = 1.35  # ratio of one level above tissue to the one before
+
 
 def find_blobs(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None) -> list[Blob]:
     """Return the components above a level that may be a ball, the most similar in size first.
@@ -32,16 +34,18 @@ def find_blobs(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | Non
     `exclude`: (N, 3) or None; voxels of the needle: what holds one of them is left out.
     """
     diameter, threshold = recipe.markers.diameter_mm, recipe.markers.threshold_hu
-    # each a third higher than the one before, up to 80 000 HU
-    levels = (volume.tissue + HU.METAL_CONTRAST * 1.35 ** np.arange(18)).tolist()
-    levels = levels if threshold is None else [threshold]
-    bright = volume.list_bright(levels[0])
+    levels = np.array([threshold], dtype=np.float64)
+    if threshold is None:  # levels up to the brightest voxel
+        height = max((float(volume.values.max()) - volume.tissue) / HU.METAL_CONTRAST, 1.0)
+        steps = np.arange(1 + np.log(height) // np.log(LEVEL_RATIO))
+        levels = volume.tissue + HU.METAL_CONTRAST * LEVEL_RATIO**steps
+    bright = volume.list_bright(float(levels[0]))
     # the diameter of a ball of one voxel's volume
     unit = (6 / np.pi * float(np.prod(volume.spacing))) ** (1 / 3)
     widths = np.array([diameter / PART.BALL_DIAMETER, diameter + MM.BLUR_REACH])
     least, largest = np.maximum((widths / unit) ** 3, 4.0).tolist()
     blobs = list[Blob]()
-    for level in levels:
+    for level in levels.tolist():
         if np.count_nonzero(bright.values > level) > MAX_LISTED_VOXELS:
             continue
         for voxels in bright.list_parts(level, (least, largest), without=exclude):

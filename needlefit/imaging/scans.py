@@ -321,15 +321,11 @@ def _describe_fault(detail: ErrorDetails, place: str) -> Fault:
     value = repr(detail["input"]) if isinstance(detail["input"], str) else "empty"
     if detail["type"] == "extra_forbidden":
         text = "a column of `needlefit explain scans.csv`"
-    expected, _, problem = text.partition("\n")
+    expected, _, problem = text.partition("\n")  # of a path, what is wrong with it
+    what = f"{column} is {value}"
     if problem:
-        return DataError(
-            f"{column} is {value}: {problem}",
-            expected=expected,
-            fix="check its name and path",
-            where=place,
-        )
-    return DataError(f"{column} is {value}", expected=expected, fix=fix, where=place)
+        what, fix = f"{what}: {problem}", "check its name and path"
+    return DataError(what, expected=expected, fix=fix, where=place)
 
 
 def find_owner(id_: str, ids: Container[str], is_divided: bool) -> str:

@@ -208,8 +208,7 @@ def _fit_model(near: SphereVoxels) -> tuple[Floats, Floats, Floats]:
         )
 
     count, alike = len(near.values), max(1.0, MM.BLUR_CORE**3 / float(np.prod(near.spacing)))
-    # before the noise is known, a part of the brightness
-    noise = 0.05 * max(min(1.5 * peak, near.ceiling) - low, 1.0)
+    noise = PART.FIRST_NOISE * max(min(1.5 * peak, near.ceiling) - low, 1.0)
     rough = fit(theta, noise)
     noise = max(1.0, noise * robust_sd(rough.fun[:count])) * np.sqrt(alike)
     best = fit(rough.x, noise)

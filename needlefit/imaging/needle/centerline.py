@@ -98,6 +98,7 @@ def trace_needle(
 
 
 def _refuse_misfit(end: TipFit, limit: float) -> None:
+    """Raise DataError if the misfit of a needle's image is above a limit."""
     if end.misfit > limit:
         raise DataError(
             f"where the needle ends does not show: {describe_misfit(end.misfit)}",
@@ -166,7 +167,7 @@ def project_point(points: Floats, place: Floats) -> tuple[float, float]:
 
 
 def _measure_heel(recipe: ReconstructionRecord) -> float:
-    """Return from how far before the tip on the bevel may show, mm."""
+    """Return the length before the tip in which the bevel may show, mm."""
     return bevel_length(recipe.needle) + MM.BEVEL_MARGIN
 
 

@@ -101,13 +101,15 @@ def _follow(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> Axi
     level = float(np.median(amplitude))
     if level < HU.METAL_CONTRAST / 2 or shown.mean() < PART.SHOWN:
         away = float(np.median(measure_face_distance(volume, places)))
-        outside = f"lies {away:.1f} mm from the volume's face: its surroundings are outside"
         if away < 0:
-            outside = "lies outside the volume"
-        dark = 100 * (1 - shown.mean())
-        faint = f"is {level:.0f} HU brighter than its surroundings, and faint on {dark:.0f} %"
+            problem = "lies outside the volume"
+        elif away < MM.PATCH:
+            problem = f"lies {away:.1f} mm from the volume's face: its surroundings are outside"
+        else:
+            dark = 100 * (1 - shown.mean())
+            problem = f"is {level:.0f} HU brighter than its surroundings, and faint on {dark:.0f} %"
         raise DataError(
-            outside if away < MM.PATCH else faint,
+            problem,
             expected=f"a needle, and {MM.PATCH:g} mm of what surrounds it",
             fix="scan more around it; take back points that are not on it: RAS has x and y of the other sign",
         )

@@ -350,7 +350,7 @@ class _SliceProblem:
 
         # derivatives are calculated at every third step, or given; at other steps the last ones are corrected
         # by what that step showed (C. G. Broyden, Math. Comp. 19 (1965) 577-593)
-        def differentiate(there: Floats) -> Floats:
+        def find_jacobian(there: Floats) -> Floats:
             if last and (jacobian is not None or next(kept)):
                 before, residuals, here = last
                 step = there - before
@@ -367,7 +367,7 @@ class _SliceProblem:
         solved = least_squares(
             evaluate,
             start[first:],
-            jac=differentiate,
+            jac=find_jacobian,
             loss=self.loss,  # type: ignore[arg-type]  # the stubs describe another function
             f_scale=robust / np.sqrt(CORRELATED_SAMPLES),
             x_scale="jac",

@@ -333,8 +333,8 @@ def write_reconstruction(
 ) -> tuple[Run | None, tuple[ReconstructionFailure, ...]]:
     """Write `folder`, completely or not at all; return its result, and what a dataset cannot contain.
 
-    Where it can contain none, nothing is written, and what was there stays. So it is where all together have
-    a fault: it is returned as the failure of each scan, as one error.
+    Where it can contain none, nothing is written, and what was there stays. A fault of the dataset as a whole
+    is returned as a failure of every scan.
 
     The dataset; `quality/<id>.pdf`; `slicer/`, also of the scans that were `refused`; a first study of
     several insertions; `scenes/<id>.toml`; the files of every run. `sources` are those of the result.
